@@ -1,0 +1,87 @@
+"""Settings of the detector, and its presets."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from airline.errors import ConfigError
+
+Preset = Literal["default", "paper"]
+
+
+class EdgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Stage 1 and the choice of edge pixels.
+
+    Attributes:
+        detector: "unet" or "canny".
+        weights: bundled weights by name, or a file, for the U-Net.
+        thin: work on the sub-pixel ridge of the edge map; otherwise on every pixel above the threshold.
+        threshold: edge pixels have at least this probability.
+        smoothing: side of the Gaussian window before thinning, odd, px.
+        seed_threshold: and a region starts only at pixels of at least this one.
+    """
+
+    detector: Literal["unet", "canny"] = "unet"
+    weights: str = "default"
+    thin: bool = True
+    smoothing: int = 3
+    threshold: float = 0.15
+    seed_threshold: float = 0.3
+
+
+class OrientationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Stage 2; see `LineKernelOrientation` and, for "gradient", `GradientOrientation`."""
+
+    kind: Literal["lines", "gradient"] = "lines"
+    channels: int = 6
+    kernel_size: int = 7
+    subtract_mean: bool = True
+
+
+class GrowConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Stage 3; see `RegionGrower`."""
+
+    similarity: float = 0.7
+    min_pixels: int = 8
+    seed_order: Literal["raster", "straightest"] = "straightest"
+
+
+class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Stage 4; see `TotalLeastSquaresFitter` and, for "paper", `PaperFitter`."""
+
+    kind: Literal["total-least-squares", "paper"] = "total-least-squares"
+    min_length: float = 10.0
+    max_deviation: float = 2.0
+    max_gap: float = 8.0
+    max_offset: float = 1.0
+    max_angle: float = 5.0
+    max_reach: float = 8.0
+
+
+class DetectorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """All settings of the detector."""
+
+    edges: EdgeConfig = EdgeConfig()
+    orientation: OrientationConfig = OrientationConfig()
+    grow: GrowConfig = GrowConfig()
+    fit: FitConfig = FitConfig()
+
+
+def preset(name: str) -> DetectorConfig:
+    """Settings by name: "default", or "paper" for the paper's scheme with the repairs that the README names.
+
+    Raises:
+        ConfigError: no such preset.
+    """
+    if name == "default":
+        return DetectorConfig()
+    if name == "paper":
+        return DetectorConfig(
+            edges=EdgeConfig(thin=False, threshold=0.5, seed_threshold=0.5),
+            orientation=OrientationConfig(kernel_size=9),
+            grow=GrowConfig(similarity=0.9, min_pixels=15, seed_order="raster"),
+            fit=FitConfig(kind="paper"),
+        )
+    raise ConfigError(f"no preset named '{name}': use default or paper")

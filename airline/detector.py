@@ -1,0 +1,128 @@
+"""The detector: edges, orientation, region grow, line fit."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from airline.config import DetectorConfig, preset
+from airline.edges import CannyEdges, Device, EdgeDetector, UNetEdges
+from airline.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
+from airline.grow import RegionGrower
+from airline.image import Gray, to_gray
+from airline.lines import LineSet
+from airline.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
+from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
+from airline.trace import Trace
+
+
+class AirLine:
+    """Line-segment detector after Lin and Wang, "AirLine: Efficient Learnable Line Detection with Local Edge Voting".
+
+    Every stage is an attribute and may be replaced by an object with the same method:
+    `edges` (`EdgeDetector`), `pixels` (`PixelSelector`), `orientation` (`OrientationDetector`), `grower`
+    (`RegionGrower`), `fitter` (`LineFitter`).
+
+    Example:
+        >>> import numpy as np
+        >>> from airline import AirLine
+        >>> image = np.zeros((120, 160), np.uint8)
+        >>> image[40:80, 50:110] = 200
+        >>> len(AirLine()(image)) >= 4
+        True
+    """
+
+    edges: EdgeDetector
+    pixels: PixelSelector
+    orientation: OrientationDetector
+    grower: RegionGrower
+    fitter: LineFitter
+
+    def __init__(
+        self,
+        preset: str = "default",
+        *,
+        config: DetectorConfig | None = None,
+        edges: EdgeDetector | None = None,
+        device: Device = "auto",
+    ) -> None:
+        """Build the detector.
+
+        Args:
+            preset: "default" or "paper".
+            config: all settings; replaces the preset.
+            edges: an edge detector of your own; replaces the one of the settings.
+            device: where the U-Net runs: "auto", "cpu" or "cuda".
+
+        Raises:
+            ConfigError: a setting is unknown or out of range.
+            WeightsError: the weights cannot be used.
+        """
+        settings = _preset(preset) if config is None else config
+        self.edges = edges if edges is not None else _edges(settings, device)
+        self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings)
+
+    def __call__(self, image: ArrayLike) -> LineSet:
+        """Line segments of an image.
+
+        Args:
+            image: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA; uint8 or uint16; any size.
+
+        Raises:
+            InputError: the array is no such image.
+        """
+        return self.trace(image).lines
+
+    def trace(self, image: ArrayLike) -> Trace:
+        """Line segments of an image with every intermediate result; same arguments and errors as calling."""
+        gray = to_gray(image)
+        started = time.perf_counter()
+        edges = self.edges.detect(gray)
+        return self.trace_edges(edges, gray, 1e3 * (time.perf_counter() - started))
+
+    def trace_edges(self, edges: NDArray[np.float32], gray: Gray | None = None, edges_ms: float = 0.0) -> Trace:
+        """The stages after edge detection, on an edge map of your own.
+
+        Args:
+            edges: (H, W) float32 edge probability in [0, 1].
+            gray: (H, W) the image; only descriptors from image gradients need it.
+            edges_ms: milliseconds to report for the edge stage.
+        """
+        edges = np.ascontiguousarray(edges, np.float32)
+        clock = [time.perf_counter()]
+        selected = self.pixels.select(edges)
+        clock.append(time.perf_counter())
+        image = gray if gray is not None else (255 * edges).astype(np.uint8)
+        descriptors = self.orientation.describe(selected.support, image, selected.pixels)
+        clock.append(time.perf_counter())
+        regions = self.grower.grow(selected, descriptors)
+        clock.append(time.perf_counter())
+        lines, labels = self.fitter.fit(selected, descriptors, regions)
+        clock.append(time.perf_counter())
+        spent = dict(zip(("pixels", "orientation", "grow", "fit"), (1e3 * np.diff(clock)).tolist(), strict=True))
+        return Trace(
+            edges, selected.pixels, selected.positions, descriptors, labels, lines, {"edges": edges_ms, **spent}
+        )
+
+
+_preset = preset
+
+
+def _edges(config: DetectorConfig, device: Device) -> EdgeDetector:
+    return CannyEdges() if config.edges.detector == "canny" else UNetEdges(config.edges.weights, device)
+
+
+def _back_end(config: DetectorConfig) -> tuple[PixelSelector, OrientationDetector, RegionGrower, LineFitter]:
+    edges, orientation, grow, fit = config.edges, config.orientation, config.grow, config.fit
+    return (
+        RidgePixels(edges.threshold, edges.smoothing) if edges.thin else ThresholdPixels(edges.threshold),
+        GradientOrientation()
+        if orientation.kind == "gradient"
+        else LineKernelOrientation(orientation.channels, orientation.kernel_size, orientation.subtract_mean),
+        RegionGrower(grow.similarity, grow.min_pixels, edges.seed_threshold, grow.seed_order),
+        PaperFitter()
+        if fit.kind == "paper"
+        else TotalLeastSquaresFitter(fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach),
+    )

@@ -1,0 +1,40 @@
+"""The detector's result: a set of line segments, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class LineSet:
+    """Line segments of one image.
+
+    Pixel coordinates have x to the right, y down, and (0, 0) at the centre of the top-left pixel.
+
+    Attributes:
+        segments: (N, 2, 2) float32, px; each row is [[x0, y0], [x1, y1]].
+        scores: (N,) float32 in [0, 1]; higher is more reliable.
+        descriptors: (N, C) float32 orientation descriptors, rows of unit length.
+    """
+
+    segments: NDArray[np.float32]
+    scores: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    @property
+    def lengths(self) -> NDArray[np.float32]:
+        """(N,) float32 lengths in px."""
+        delta = self.segments[:, 1] - self.segments[:, 0]
+        return np.hypot(delta[:, 0], delta[:, 1])
+
+    @property
+    def angles(self) -> NDArray[np.float32]:
+        """(N,) float32 angles of the undirected lines in [0, pi), radians, from x towards y."""
+        delta = self.segments[:, 1] - self.segments[:, 0]
+        return np.mod(np.arctan2(delta[:, 1], delta[:, 0]), np.float32(np.pi))

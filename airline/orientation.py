@@ -1,0 +1,112 @@
+"""Stage 2: orientation descriptors of edge pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from airline.image import Gray, to_uint8
+
+
+class OrientationDetector(Protocol):
+    """Describes which way the edge runs at each edge pixel."""
+
+    def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Descriptors at given pixels.
+
+        Args:
+            edges: (H, W) float32 edge probability.
+            gray: (H, W) the image itself.
+            pixels: (M, 2) int32 (x, y).
+
+        Returns:
+            (M, C) float32 rows of unit length (zero where the map is empty).
+        """
+        ...
+
+
+def line_kernels(channels: int, size: int) -> NDArray[np.float32]:
+    """(channels, size, size) kernels, each a one-pixel-wide line through the centre at n * 180 / channels degrees.
+
+    Angles turn from x (right) towards y (down). Every line has `size` pixels: one per step along its major axis.
+    """
+    kernels = np.zeros((channels, size, size), np.float32)
+    steps = np.arange(size) - size // 2
+    for n in range(channels):
+        cos, sin = np.cos(n * np.pi / channels), np.sin(n * np.pi / channels)
+        major = max(abs(cos), abs(sin))
+        x, y = (np.rint(steps * component / major - 1e-9 * np.sign(steps)).astype(int) for component in (cos, sin))
+        kernels[n, y + size // 2, x + size // 2] = 1
+    return kernels
+
+
+@dataclass(frozen=True)
+class LineKernelOrientation:
+    """Correlation of the edge map with line kernels, then L2 normalisation (equation 2 of the AirLine paper).
+
+    Attributes:
+        channels: N, number of kernels; 2 gives the paper's ablation with 0 and 90 degrees only.
+        kernel_size: side of the kernels, odd, px.
+        subtract_mean: take the mean over the channels away before normalising, as the paper's released code does.
+    """
+
+    channels: int = 6
+    kernel_size: int = 9
+    subtract_mean: bool = False
+    _taps: NDArray[np.int32] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.channels < 2 or self.kernel_size < 3 or self.kernel_size % 2 == 0:
+            raise ConfigError("orientation needs at least 2 channels and an odd kernel size of at least 3")
+        taps = np.argwhere(line_kernels(self.channels, self.kernel_size))[:, 1:] - self.kernel_size // 2
+        shaped = taps.reshape(self.channels, self.kernel_size, 2).astype(np.int32)
+        object.__setattr__(self, "_taps", shaped)
+
+    def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Descriptors at given pixels; the image itself is not looked at."""
+        half = self.kernel_size // 2
+        padded = cv2.copyMakeBorder(edges, half, half, half, half, cv2.BORDER_CONSTANT, value=0)
+        return _correlate(padded, pixels, self._taps + half, self.subtract_mean)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class GradientOrientation:
+    """The unit image gradient (2 channels), for the paper's ablation."""
+
+    def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Descriptors at given pixels; the edge map is not looked at."""
+        image = cv2.GaussianBlur(to_uint8(gray), (0, 0), 1.0)
+        x, y = pixels[:, 0], pixels[:, 1]
+        gradient = np.stack([cv2.Sobel(image, cv2.CV_32F, *order)[y, x] for order in ((1, 0), (0, 1))], axis=1)
+        norm = np.linalg.norm(gradient, axis=1, keepdims=True)
+        return (gradient / np.maximum(norm, 1e-12)).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _correlate(padded, pixels, taps, subtract_mean):  # type: ignore[no-untyped-def]
+    channels, length = taps.shape[0], taps.shape[1]
+    out = np.empty((len(pixels), channels), np.float32)
+    for k in range(len(pixels)):
+        x, y = pixels[k, 0], pixels[k, 1]
+        mean = 0.0
+        for n in range(channels):
+            total = np.float32(0)
+            for i in range(length):
+                total += padded[y + taps[n, i, 0], x + taps[n, i, 1]]
+            out[k, n] = total
+            mean += total
+        mean = mean / channels if subtract_mean else 0.0
+        squared = 0.0
+        for n in range(channels):
+            out[k, n] -= mean
+            squared += out[k, n] * out[k, n]
+        norm = max(np.sqrt(squared), 1e-12)
+        for n in range(channels):
+            out[k, n] /= norm
+    return out

@@ -1,0 +1,118 @@
+"""What a real camera does to the clean linear image: blur, exposure, vignetting, gamma and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+
+_CURVE = 4096
+
+
+@dataclass(frozen=True)
+class CameraEffects:
+    """Settings of the simulated camera.
+
+    Attributes:
+        exposure: factor on the light that falls in.
+        exposure_jitter: amplitude of slow exposure changes, in stops (0.3: between 2^-0.3 and 2^0.3).
+        noise_sigma: standard deviation of the Gaussian noise of each channel, grey levels.
+        motion_blur: share of the frame interval during which the shutter is open, 0 to 1; rotation is blurred.
+        lens_blur: standard deviation of the lens's Gaussian blur, px.
+        vignetting: loss of light in the corners, 0 to 1.
+        gamma: exponent of the display curve; 1 is linear.
+    """
+
+    exposure: float = 1.0
+    exposure_jitter: float = 0.15
+    noise_sigma: float = 2.5
+    motion_blur: float = 0.25
+    lens_blur: float = 0.4
+    vignetting: float = 0.2
+    gamma: float = 2.2
+
+    def __post_init__(self) -> None:
+        for name in ("exposure", "gamma"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"camera effect '{name}' must be positive, not {getattr(self, name)}")
+        for name in ("exposure_jitter", "noise_sigma", "lens_blur"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"camera effect '{name}' must not be negative, but is {getattr(self, name)}")
+        for name in ("motion_blur", "vignetting"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"camera effect '{name}' must lie between 0 and 1, not {getattr(self, name)}")
+
+
+CLEAN = CameraEffects(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.2)
+
+
+def blur_rotation(
+    linear: NDArray[np.float32], K: NDArray[np.float64], turns: list[NDArray[np.float64]]
+) -> NDArray[np.float32]:
+    """Mean of the image as seen by cameras turned by `turns` (each (3, 3), turned_from_centre); unchanged for none."""
+    if not turns:
+        return linear
+    height, width = linear.shape[:2]
+    mean = np.zeros_like(linear)
+    for turn in turns:
+        homography = K @ turn @ np.linalg.inv(K)
+        seen = cv2.warpPerspective(linear, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        cv2.accumulate(seen, mean)
+    mean /= np.float32(len(turns))
+    return mean
+
+
+def exposure_at(effects: CameraEffects, seed: int, seconds: float) -> float:
+    """Exposure factor at a time: two slow sines of seeded phase, in stops."""
+    phase = np.random.default_rng([seed, 11]).uniform(0, 2 * np.pi, 2)
+    swing = 0.6 * np.sin(2 * np.pi * 0.21 * seconds + phase[0]) + 0.4 * np.sin(2 * np.pi * 0.53 * seconds + phase[1])
+    return float(effects.exposure * 2 ** (effects.exposure_jitter * swing))
+
+
+def develop(
+    linear: NDArray[np.float32], exposure: float, effects: CameraEffects, seed: int, frame: int
+) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 BGR picture of a linear image under an exposure; `seed` and `frame` choose the noise."""
+    if effects.lens_blur > 0:
+        linear = np.asarray(cv2.GaussianBlur(linear, (0, 0), effects.lens_blur), np.float32)
+    key = np.uint64(np.random.SeedSequence([seed, frame, 13]).generate_state(1, np.uint64)[0])
+    image = np.empty(linear.shape, np.uint8)
+    _develop(linear, exposure, effects.vignetting, _curve(effects.gamma), effects.noise_sigma, key, image)
+    return image
+
+
+@lru_cache(maxsize=8)
+def _curve(gamma: float) -> NDArray[np.float32]:
+    return (255 * (np.arange(_CURVE + 1) / _CURVE) ** (1 / gamma)).astype(np.float32)
+
+
+@njit(nogil=True, cache=True)
+def _develop(linear, exposure, vignetting, curve, sigma, key, image):  # type: ignore[no-untyped-def]
+    height, width = linear.shape[:2]
+    cy, cx = 0.5 * (height - 1), 0.5 * (width - 1)
+    corner = 1 / (cy * cy + cx * cx)
+    # Four 16-bit uniform numbers: their sum is normal enough, and one hash per value makes it free of state.
+    scale = np.float32(sigma / (65536 * np.sqrt(1 / 3)))
+    for y in range(height):
+        for x in range(width):
+            gain = np.float32(exposure * (1 - vignetting * ((y - cy) ** 2 + (x - cx) ** 2) * corner) * (len(curve) - 1))
+            for c in range(3):
+                level = linear[y, x, c] * gain
+                value = curve[int(min(level, np.float32(len(curve) - 1)))]
+                if sigma > 0:
+                    h = key + np.uint64((y * width + x) * 3 + c) * np.uint64(0x9E3779B97F4A7C15)
+                    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+                    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+                    h ^= h >> np.uint64(31)
+                    low = np.uint64(0xFFFF)
+                    total = (
+                        (h & low) + ((h >> np.uint64(16)) & low) + ((h >> np.uint64(32)) & low) + (h >> np.uint64(48))
+                    )
+                    value += (np.float32(total) - np.float32(131070)) * scale
+                image[y, x, c] = np.uint8(min(max(value + np.float32(0.5), np.float32(0)), np.float32(255)))

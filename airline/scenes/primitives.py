@@ -1,0 +1,308 @@
+"""Scenes as arrays of textured parallelograms, straight lines and pipes, and the builder that collects them.
+
+World axes: z up, x and y on the ground, metres. A face is the parallelogram origin + a u + b v with a, b in [0, 1]; it
+is seen from the side its normal u x v points to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.scenes.textures import texture_index
+
+Vec = tuple[float, float, float]
+PIPE_SIDES = 20
+
+
+@dataclass(frozen=True)
+class Material:
+    """A texture that blends two colours.
+
+    Attributes:
+        texture: index into the texture bank.
+        low, high: BGR linear albedo in [0, 1] where the texture is 0 and 1.
+        tile: size of one texture tile, m.
+    """
+
+    texture: int
+    low: Vec
+    high: Vec
+    tile: float
+
+
+@dataclass(frozen=True)
+class Walk:
+    """The free space a camera may move in, and where it looks.
+
+    Attributes:
+        centre, reach: (3,) position = centre +- reach, m.
+        yaw, sweep: looks towards yaw +- sweep, rad; yaw 0 is +x, counter-clockwise from above.
+    """
+
+    centre: Vec
+    reach: Vec
+    yaw: float
+    sweep: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A world ready for rendering: F faces, L lines and C pipes.
+
+    Attributes:
+        origins, u, v: (F, 3) float64, m.
+        textures: (F,) int32 texture index.
+        materials: (F, 13) float32 texture coordinates (s, t) = (m0 + m1 a, m2 + m3 b) in tiles; light at the origin and
+            its change along u and v; BGR albedo where the texture is 0, and its change per level of the texture.
+        lines: (L, 2, 3) float64 straight edges a person would see; a line's id is its row.
+        pipes: (C, 2, 3) float64 axes; radii: (C,) float64. Outline k of pipe c has the id L + 2 c + k.
+        walk: the camera's free space.
+        sky: (2, 3) float32 BGR light at the horizon and overhead.
+    """
+
+    origins: NDArray[np.float64]
+    u: NDArray[np.float64]
+    v: NDArray[np.float64]
+    textures: NDArray[np.int32]
+    materials: NDArray[np.float32]
+    lines: NDArray[np.float64]
+    pipes: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    walk: Walk
+    sky: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Light:
+    """Sun or lamp light for flat shading.
+
+    Attributes:
+        direction: unit vector towards the light.
+        ambient, diffuse: strengths; a face that looks at the light gets their sum.
+        gradient: (3,) relative change of light per metre, the same everywhere, so that split walls stay seamless.
+    """
+
+    direction: NDArray[np.float64]
+    ambient: float
+    diffuse: float
+    gradient: NDArray[np.float64]
+
+    def at(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) light on surfaces at `points` (N, 3) with unit `normals` (N, 3)."""
+        towards = normals @ self.direction
+        # Faces turned away still differ from each other, as under a real sky or bounced light.
+        lambert = self.ambient * (1 + 0.35 * towards) + self.diffuse * np.maximum(towards, 0)
+        return np.asarray(lambert * np.clip(1 + points @ self.gradient, 0.75, 1.25))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A local coordinate system: origin and three orthonormal axes in the world."""
+
+    origin: Vec = (0.0, 0.0, 0.0)
+    x: Vec = (1.0, 0.0, 0.0)
+    y: Vec = (0.0, 1.0, 0.0)
+    z: Vec = (0.0, 0.0, 1.0)
+
+    def point(self, p: Vec) -> Vec:
+        """World position of the local point p."""
+        o, x, y, z = self.origin, self.x, self.y, self.z
+        return (
+            o[0] + x[0] * p[0] + y[0] * p[1] + z[0] * p[2],
+            o[1] + x[1] * p[0] + y[1] * p[1] + z[1] * p[2],
+            o[2] + x[2] * p[0] + y[2] * p[1] + z[2] * p[2],
+        )
+
+    def moved(self, p: Vec, turn: float = 0.0) -> Frame:
+        """This frame moved to the local point p and turned about its z axis by `turn` rad."""
+        c, s = float(np.cos(turn)), float(np.sin(turn))
+        x, y = self.x, self.y
+        turned_x = (c * x[0] + s * y[0], c * x[1] + s * y[1], c * x[2] + s * y[2])
+        turned_y = (c * y[0] - s * x[0], c * y[1] - s * x[1], c * y[2] - s * x[2])
+        return Frame(self.point(p), turned_x, turned_y, self.z)
+
+
+WORLD = Frame()
+_AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
+
+
+@dataclass
+class SceneBuilder:
+    """Collects faces, lines and pipes in local frames and turns them into a `Scene`."""
+
+    _corners: list[tuple[Vec, Vec, Vec]] = field(default_factory=list)
+    _materials: list[Material] = field(default_factory=list)
+    _shifts: list[tuple[float, float]] = field(default_factory=list)
+    _lines: list[tuple[Vec, Vec]] = field(default_factory=list)
+    _pipes: list[tuple[Vec, Vec, float, Material]] = field(default_factory=list)
+
+    def quad(
+        self,
+        frame: Frame,
+        corner: Vec,
+        u: Vec,
+        v: Vec,
+        material: Material,
+        edges: str = "btlr",
+        shift: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Add a parallelogram; `edges` names its sides that are lines: bottom and top along u, left and right along v.
+
+        `shift` (m) moves the texture, so that the pieces of a split wall continue one another.
+        """
+        a = frame.point(corner)
+        b = frame.point((corner[0] + u[0], corner[1] + u[1], corner[2] + u[2]))
+        d = frame.point((corner[0] + v[0], corner[1] + v[1], corner[2] + v[2]))
+        self._corners.append((a, b, d))
+        self._materials.append(material)
+        self._shifts.append(shift)
+        if edges:
+            c = (b[0] + d[0] - a[0], b[1] + d[1] - a[1], b[2] + d[2] - a[2])
+            sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
+            self._lines.extend(sides[name] for name in edges)
+
+    def box(
+        self, frame: Frame, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ", lines: bool = True
+    ) -> None:
+        """Add a cuboid between local corners; `faces` names its sides: "x" at the low x, "X" at the high x, ..."""
+        size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
+        shift = (hash_unit(low) * material.tile, hash_unit(high) * material.tile)
+        for name in faces:
+            i, j, k = _AXES[name.lower()]
+            if name.islower():
+                i, j = j, i
+            u, v, corner = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], list(low)
+            u[i], v[j] = size[i], size[j]
+            if name.isupper():
+                corner[k] = high[k]
+            self.quad(frame, tuple(corner), tuple(u), tuple(v), material, "btlr" if lines else "", shift)  # type: ignore[arg-type]
+
+    def line(self, frame: Frame, start: Vec, end: Vec) -> None:
+        """Add a straight edge."""
+        self._lines.append((frame.point(start), frame.point(end)))
+
+    def pipe(self, frame: Frame, start: Vec, end: Vec, radius: float, material: Material) -> None:
+        """Add a cylinder without caps; its lines are the two outlines seen from the camera."""
+        self._pipes.append((frame.point(start), frame.point(end), radius, material))
+
+    def build(self, light: Light, walk: Walk, sky: NDArray[np.float32]) -> Scene:
+        """Shade the faces, merge lines that several faces share, and freeze everything."""
+        flat = len(self._corners)
+        for start, end, radius, material in self._pipes:
+            self._add_prism(np.asarray(start), np.asarray(end), radius, material)
+        a, b, d = np.asarray(self._corners, np.float64).reshape(-1, 3, 3).transpose(1, 0, 2)
+        u, v = b - a, d - a
+        normals = np.cross(u, v)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        corner_normals = np.repeat(normals[None], 3, axis=0)
+        for c, (start, end, _, _) in enumerate(self._pipes):
+            rows = slice(flat + c * PIPE_SIDES, flat + (c + 1) * PIPE_SIDES)
+            axis = (np.asarray(end) - np.asarray(start)) / np.linalg.norm(np.asarray(end) - np.asarray(start))
+            for k, points in enumerate((a, b, d)):
+                outward = points[rows] - np.asarray(start)
+                outward -= np.outer(outward @ axis, axis)
+                corner_normals[k, rows] = outward / np.linalg.norm(outward, axis=1, keepdims=True)
+        lights = [light.at(points, corner_normals[k]) for k, points in enumerate((a, b, d))]
+        tile = np.array([m.tile for m in self._materials])
+        shift = np.asarray(self._shifts, np.float64).reshape(-1, 2) / tile[:, None]
+        along_u, along_v = np.linalg.norm(u, axis=1) / tile, np.linalg.norm(v, axis=1) / tile
+        mapping = np.stack([shift[:, 0], along_u, shift[:, 1], along_v], axis=1)
+        shades = np.stack([lights[0], lights[1] - lights[0], lights[2] - lights[0]], axis=1)
+        low, high = np.array([m.low for m in self._materials]), np.array([m.high for m in self._materials])
+        return Scene(
+            origins=a.copy(),
+            u=u,
+            v=v,
+            textures=np.array([m.texture for m in self._materials], np.int32),
+            materials=np.concatenate([mapping, shades, low, (high - low) / 255], axis=1).astype(np.float32),
+            lines=merge_collinear(np.asarray(self._lines, np.float64).reshape(-1, 2, 3)),
+            pipes=np.asarray([p[:2] for p in self._pipes], np.float64).reshape(-1, 2, 3),
+            radii=np.asarray([p[2] for p in self._pipes], np.float64),
+            walk=walk,
+            sky=sky,
+        )
+
+    def _add_prism(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], radius: float, material: Material
+    ) -> None:
+        axis = end - start
+        side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 * np.linalg.norm(axis) else (0.0, 1.0, 0.0))
+        side *= radius / np.linalg.norm(side)
+        other = np.cross(axis, side) / np.linalg.norm(axis)
+        angles = 2 * np.pi * np.arange(PIPE_SIDES + 1) / PIPE_SIDES
+        ring = start + np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+        for k in range(PIPE_SIDES):
+            self._corners.append((tuple(ring[k]), tuple(ring[k + 1]), tuple(ring[k] + axis)))
+            self._materials.append(material)
+            self._shifts.append((k * 2 * radius * float(np.sin(np.pi / PIPE_SIDES)), 0.0))
+
+
+def hash_unit(p: Vec) -> float:
+    """A number in [0, 1) that differs from place to place, so that equal boxes do not wear equal texture."""
+    return (p[0] * 12.9898 + p[1] * 78.233 + p[2] * 37.719) % 1.0
+
+
+def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> NDArray[np.float64]:
+    """Union of the segments that lie on one line in space and overlap or touch.
+
+    Args:
+        segments: (N, 2, 3) end points, m.
+        tolerance: lines closer than about this are one line, m.
+
+    Returns:
+        (L, 2, 3) float64 segments, L <= N.
+    """
+    if not len(segments):
+        return segments
+    direction = segments[:, 1] - segments[:, 0]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    rounded = np.round(direction, 5)
+    leading = np.take_along_axis(rounded, (rounded != 0).argmax(axis=1)[:, None], axis=1)
+    direction *= np.where(leading < 0, -1.0, 1.0)
+    start = np.einsum("nk,nk->n", segments[:, 0], direction)
+    end = np.einsum("nk,nk->n", segments[:, 1], direction)
+    foot = segments[:, 0] - start[:, None] * direction
+    start, end = np.minimum(start, end), np.maximum(start, end)
+    # The odd offset keeps round coordinates away from the rounding boundary.
+    key = np.concatenate([np.round(direction * 2000 + 0.137), np.round(foot / tolerance + 0.137)], axis=1)
+    weights = np.random.default_rng(0).integers(1, 2**62, 6)
+    _, group = np.unique((key.astype(np.int64) * weights).sum(axis=1), return_inverse=True)
+    merged: list[tuple[int, float, float]] = []
+    for row in np.lexsort((start, group)):
+        if merged and group[merged[-1][0]] == group[row] and start[row] <= merged[-1][2] + tolerance:
+            first, low, high = merged[-1]
+            merged[-1] = (first, low, max(high, end[row]))
+        else:
+            merged.append((row, start[row], end[row]))
+    rows = np.array([m[0] for m in merged])
+    span = np.array([m[1:] for m in merged])
+    return np.asarray(foot[rows, None] + span[:, :, None] * direction[rows, None])
+
+
+def colour(rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float] = (0.05, 0.5)) -> Vec:
+    """A random linear BGR colour with brightness and saturation within bounds."""
+    hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
+    bgr = [v * (1 - s * min(1.0, max(0.0, abs((hue + shift) % 6 - 3) - 1))) for shift in (2.0, 4.0, 0.0)]
+    return (bgr[0], bgr[1], bgr[2])
+
+
+def finish(
+    rng: np.random.Generator,
+    name: str,
+    base: Vec,
+    tile: float = 1.0,
+    contrast: float = 0.25,
+    variant: int | None = None,
+) -> Material:
+    """A material whose colours lie around `base`, apart by the relative `contrast`."""
+    variant = int(rng.integers(100)) if variant is None else variant
+    low = (base[0] * (1 - contrast), base[1] * (1 - contrast), base[2] * (1 - contrast))
+    high = (
+        min(1.0, base[0] * (1 + contrast)),
+        min(1.0, base[1] * (1 + contrast)),
+        min(1.0, base[2] * (1 + contrast)),
+    )
+    return Material(texture_index(name, variant), low, high, tile)

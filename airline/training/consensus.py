@@ -1,0 +1,193 @@
+"""Pseudo-labels by homographic consensus: lines that a classical detector finds again in random views of an image.
+
+The idea is SuperPoint's homographic adaptation (DeTone et al. 2018), for lines: detect in the image and in random
+warps of it, map the segments back, and give every piece of a line the share of views that saw it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view
+SUPPORT_ANGLE = np.deg2rad(8.0)
+PIECE = 8.0  # px, length over which a share is averaged
+MIN_LENGTH = 8.0  # px
+
+
+@dataclass(frozen=True)
+class PseudoLabels:
+    """Labelled line pieces of one image.
+
+    Attributes:
+        pieces: (N, 2, 2) float32 px, short pieces of lines.
+        shares: (N,) float32 in [0, 1], the share of the views that saw the piece.
+    """
+
+    pieces: NDArray[np.float32]
+    shares: NDArray[np.float32]
+
+
+def detect_lsd(gray: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(N, 2, 2) segments of OpenCV's LSD at two scales, px, pixel centres at integers."""
+    found = [np.zeros((0, 2, 2), np.float32)]
+    for scale in (0.8, 0.5):
+        lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, scale=scale).detect(gray)[0]
+        if lines is not None:  # OpenCV scales its result back about the pixel corner; we count from the centre
+            found.append((lines.reshape(-1, 2, 2) + (0.5 / scale - 0.5)).astype(np.float32))
+    segments = np.concatenate(found)
+    return segments[np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) >= MIN_LENGTH]
+
+
+def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float64]:
+    """(3, 3) homography from the image to a random view of it: rotation, mirror, scale and perspective.
+
+    Turns by any angle and mirroring make the detector's own bias cancel in the mean over the views.
+    """
+    centre = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1.0]])
+    angle, scale = rng.uniform(-np.pi, np.pi), np.exp(rng.uniform(np.log(0.7), np.log(1.3)))
+    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turn[:, 0] *= rng.choice([-1, 1])
+    tilt = np.eye(3)
+    tilt[:2, :2] = turn
+    tilt[2, :2] = rng.uniform(-0.25, 0.25, 2) / max(width, height)
+    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+    seen = cv2.perspectiveTransform(corners[None], tilt @ centre)[0]
+    back = np.eye(3)
+    back[:2, 2] = -seen.min(axis=0)
+    return back @ tilt @ centre
+
+
+def degrade(rng: np.random.Generator, gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Random gamma, contrast, blur and noise of one view."""
+    image = 255 * (gray / np.float32(255)) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    image *= np.float32(rng.uniform(0.6, 1.1))
+    if rng.random() < 0.4:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
+    image += rng.normal(0, rng.uniform(0, 4), image.shape).astype(np.float32)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def consensus(gray: NDArray[np.uint8], views: int, rng: np.random.Generator) -> PseudoLabels:
+    """Lines of an image with the share of `views` random views that saw each piece of them.
+
+    Args:
+        gray: (H, W) uint8.
+        views: number of random views beside the image itself.
+        rng: source of the views.
+    """
+    height, width = gray.shape
+    candidates = detect_lsd(gray)
+    hits = [_view_lines(gray, random_view(rng, width, height), rng) for _ in range(views)]
+    counts = np.array([len(lines) for lines in hits])
+    everything = np.concatenate([*hits, np.zeros((0, 2, 2), np.float32)])
+    refined, pieces, shares = _score(candidates, everything, np.concatenate([[0], np.cumsum(counts)]))
+    order = np.argsort(-shares, kind="stable")
+    keep = _suppress(pieces[order], refined[order])
+    return PseudoLabels(refined[order][keep], shares[order][keep].astype(np.float32))
+
+
+def _view_lines(
+    gray: NDArray[np.uint8], homography: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float32]:
+    height, width = gray.shape
+    corners = np.array([[[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]], np.float64)
+    size = np.ceil(cv2.perspectiveTransform(corners, homography)[0].max(axis=0)).astype(int) + 1
+    warped = cv2.warpPerspective(gray, homography, (int(size[0]), int(size[1])), borderMode=cv2.BORDER_REPLICATE)
+    lines = detect_lsd(degrade(rng, warped))
+    if not len(lines):
+        return lines
+    inverse = np.linalg.inv(homography)
+    return cv2.perspectiveTransform(lines.reshape(1, -1, 2).astype(np.float64), inverse).reshape(-1, 2, 2).astype("f4")
+
+
+@njit(cache=True, nogil=True)
+def _score(candidates, views, offsets):  # type: ignore[no-untyped-def]
+    """Cut candidates into pieces; move each line to the mean of its supporters; share of views per piece."""
+    n_views = len(offsets) - 1
+    total = 0
+    for line in candidates:
+        total += max(1, int(np.hypot(line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]) / PIECE))
+    pieces = np.empty((total, 2, 2), np.float32)
+    refined = np.empty((total, 2, 2), np.float32)
+    shares = np.empty(total, np.float64)
+    view_angles = np.arctan2(views[:, 1, 1] - views[:, 0, 1], views[:, 1, 0] - views[:, 0, 0])
+    row = 0
+    for line in candidates:
+        dx, dy = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]
+        length = np.hypot(dx, dy)
+        dx, dy = dx / length, dy / length
+        angle = np.arctan2(dy, dx)
+        n = max(1, int(length / PIECE))
+        support = np.zeros(n)
+        # weighted sums of the supporters' offsets for the mean offset and slope along the line
+        s0, s1, s2, m0, m1 = 1e-9, 0.0, 0.0, 0.0, 0.0
+        for view in range(n_views):
+            best = np.full(n, SUPPORT_DISTANCE)
+            signed = np.zeros(n)
+            for k in range(offsets[view], offsets[view + 1]):
+                turn = abs(view_angles[k] - angle) % np.pi
+                if min(turn, np.pi - turn) > SUPPORT_ANGLE:
+                    continue
+                ax, ay = views[k, 0, 0] - line[0, 0], views[k, 0, 1] - line[0, 1]
+                bx, by = views[k, 1, 0] - line[0, 0], views[k, 1, 1] - line[0, 1]
+                ta, tb = ax * dx + ay * dy, bx * dx + by * dy
+                oa, ob = ay * dx - ax * dy, by * dx - bx * dy
+                if ta > tb:
+                    ta, tb, oa, ob = tb, ta, ob, oa
+                for i in range(n):
+                    t = (i + 0.5) * length / n
+                    if ta - 1 <= t <= tb + 1:
+                        offset = oa + (ob - oa) * (t - ta) / max(tb - ta, 1e-6)
+                        if abs(offset) < best[i]:
+                            best[i] = abs(offset)
+                            signed[i] = offset
+            for i in range(n):
+                if best[i] < SUPPORT_DISTANCE:
+                    t = (i + 0.5) * length / n - length / 2
+                    support[i] += 1
+                    s0 += 1
+                    s1 += t
+                    s2 += t * t
+                    m0 += signed[i]
+                    m1 += signed[i] * t
+        det = s0 * s2 - s1 * s1
+        slope = (s0 * m1 - s1 * m0) / det if det > 1e-3 * s0 * s0 and s0 > 1 else 0.0
+        shift = (m0 - slope * s1) / s0
+        for i in range(n):
+            for end in range(2):
+                t = (i + end) * length / n
+                x, y = line[0, 0] + t * dx, line[0, 1] + t * dy
+                offset = shift + slope * (t - length / 2)
+                pieces[row, end, 0], pieces[row, end, 1] = x, y
+                refined[row, end, 0], refined[row, end, 1] = x - dy * offset, y + dx * offset
+            shares[row] = support[i] / max(n_views, 1)
+            row += 1
+    return refined, pieces, shares
+
+
+@njit(cache=True, nogil=True)
+def _suppress(pieces, refined):  # type: ignore[no-untyped-def]
+    """Mask of the pieces that no better, nearly parallel piece of another scale already covers."""
+    keep = np.ones(len(pieces), np.bool_)
+    for i in range(len(pieces)):
+        mx, my = refined[i, :, 0].mean(), refined[i, :, 1].mean()
+        ix, iy = refined[i, 1, 0] - refined[i, 0, 0], refined[i, 1, 1] - refined[i, 0, 1]
+        for j in range(i):
+            if not keep[j]:
+                continue
+            jx, jy = refined[j, 1, 0] - refined[j, 0, 0], refined[j, 1, 1] - refined[j, 0, 1]
+            px, py = mx - refined[j, 0, 0], my - refined[j, 0, 1]
+            norm = np.hypot(jx, jy)
+            if norm < 1e-6 or abs(px) > 24 or abs(py) > 24:
+                continue
+            along, across = (px * jx + py * jy) / norm, abs(px * jy - py * jx) / norm
+            cross = abs(ix * jy - iy * jx) / (norm * np.hypot(ix, iy) + 1e-9)
+            if -1 <= along <= norm + 1 and across < 2.0 and cross < 0.2:
+                keep[i] = False
+                break
+    return keep

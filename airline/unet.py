@@ -1,0 +1,110 @@
+"""The edge network: a small U-Net that works at half resolution inside and answers at full resolution."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import torch
+from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+
+@dataclass(frozen=True)
+class UNetSpec:
+    """Shape of the network.
+
+    Attributes:
+        base: channels of the first level; each further level doubles them.
+        max_channels: no level has more channels than this.
+        levels: number of resolutions; the coarsest is `unshuffle * 2 ** (levels - 1)` times smaller than the image.
+        convs: 3x3 convolutions per block.
+        unshuffle: side of the pixel blocks that are folded into channels before the first level (1: none).
+    """
+
+    base: int = 16
+    max_channels: int = 64
+    levels: int = 5
+    convs: int = 1
+    unshuffle: int = 2
+
+    @property
+    def stride(self) -> int:
+        """Image sides must be multiples of this."""
+        return int(self.unshuffle * 2 ** (self.levels - 1))
+
+    @property
+    def widths(self) -> list[int]:
+        """Channels per level, finest first."""
+        return [min(self.base * 2**level, self.max_channels) for level in range(self.levels)]
+
+    def to_metadata(self) -> dict[str, str]:
+        """The shape as the strings that a safetensors header can hold."""
+        return {key: str(value) for key, value in asdict(self).items()}
+
+
+class UNet(nn.Module):
+    """U-Net (Ronneberger et al. 2015) with additive skips, from a normalised grey image to edge logits.
+
+    Activations at full resolution, not parameters, decide the time on a CPU; so the image is folded into channels
+    first (pixel unshuffle) and the logits are unfolded at the end, and skips are added instead of concatenated.
+    """
+
+    def __init__(self, spec: UNetSpec, norm: bool = False) -> None:
+        """Build the network; `norm` adds batch normalisation after each 3x3 convolution, for training."""
+        super().__init__()
+        self.spec = spec
+        widths = spec.widths
+        self.down = nn.ModuleList(
+            _block(spec.unshuffle**2 if level == 0 else widths[level - 1], widths[level], spec.convs, norm)
+            for level in range(spec.levels)
+        )
+        finer_first = range(spec.levels - 1)
+        self.lateral = nn.ModuleList(nn.Conv2d(widths[level + 1], widths[level], 1) for level in finer_first)
+        self.up = nn.ModuleList(_block(widths[level], widths[level], spec.convs, norm) for level in finer_first)
+        self.head = nn.Conv2d(widths[0], spec.unshuffle**2, 1)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Edge logits of normalised images.
+
+        Args:
+            image: (B, 1, H, W) float, zero mean and unit variance; H and W multiples of `spec.stride`.
+
+        Returns:
+            (B, 1, H, W) logits.
+        """
+        x = nn.functional.pixel_unshuffle(image, self.spec.unshuffle)
+        skips = []
+        for level, block in enumerate(self.down):
+            x = block(x if level == 0 else nn.functional.max_pool2d(x, 2))
+            skips.append(x)
+        for level in reversed(range(self.spec.levels - 1)):
+            x = nn.functional.interpolate(self.lateral[level](x), scale_factor=2.0, mode="nearest")
+            x = self.up[level](x + skips[level])
+        return nn.functional.pixel_shuffle(self.head(x), self.spec.unshuffle)
+
+    def folded(self) -> UNet:
+        """A copy for inference, with batch normalisation folded into the convolutions."""
+        plain = UNet(self.spec)
+        for mine, other in zip(self._blocks(), plain._blocks(), strict=True):
+            convs = [m for m in mine if isinstance(m, nn.Conv2d)]
+            norms = [m for m in mine if isinstance(m, nn.BatchNorm2d)]
+            targets = [m for m in other if isinstance(m, nn.Conv2d)]
+            for index, target in enumerate(targets):
+                conv = fuse_conv_bn_eval(convs[index].eval(), norms[index].eval()) if norms else convs[index]
+                target.load_state_dict(conv.state_dict())
+        for name in ("lateral", "head"):
+            getattr(plain, name).load_state_dict(getattr(self, name).state_dict())
+        return plain.eval()
+
+    def _blocks(self) -> list[nn.Sequential]:
+        return [block for group in (self.down, self.up) for block in group if isinstance(block, nn.Sequential)]
+
+
+def _block(inputs: int, outputs: int, convs: int, norm: bool) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for index in range(convs):
+        layers.append(nn.Conv2d(inputs if index == 0 else outputs, outputs, 3, padding=1))
+        if norm:
+            layers.append(nn.BatchNorm2d(outputs))
+        layers.append(nn.ReLU(inplace=True))
+    return nn.Sequential(*layers)

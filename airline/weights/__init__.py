@@ -1,0 +1,86 @@
+"""Bundled weights of the edge network, and loading of weights files.
+
+A weights file is a safetensors file whose header holds the network's shape (`UNetSpec`). Files that come with the
+package are checked against the SHA-256 recorded here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from airline.errors import WeightsError
+
+if TYPE_CHECKING:
+    from airline.unet import UNet
+
+BUNDLED = {"default": "a6933787519431ca4f83cb3ebb35d49f2a16416982e6838fd07bf9151d9d4c16"}
+
+
+def bundled_path(name: str) -> Path:
+    """Path of bundled weights.
+
+    Raises:
+        WeightsError: there are none of this name.
+    """
+    if name not in BUNDLED:
+        raise WeightsError(f"no bundled weights named '{name}': there are {', '.join(sorted(BUNDLED))}")
+    return Path(__file__).with_name(f"{name}.safetensors")
+
+
+def load_unet(weights: str | Path) -> UNet:
+    """The edge network with its weights, ready for inference on the CPU.
+
+    Args:
+        weights: name of bundled weights, or path of a safetensors file.
+
+    Raises:
+        WeightsError: missing, damaged, or not made for this network.
+    """
+    import torch
+    from safetensors import SafetensorError, safe_open
+
+    from airline.unet import UNet, UNetSpec
+
+    path = bundled_path(str(weights)) if str(weights) in BUNDLED else Path(weights)
+    if not path.is_file():
+        raise WeightsError(f"no weights file {path}: give a .safetensors file or one of {', '.join(sorted(BUNDLED))}")
+    if str(weights) in BUNDLED and hashlib.sha256(path.read_bytes()).hexdigest() != BUNDLED[str(weights)]:
+        raise WeightsError(f"the bundled weights {path.name} are damaged (wrong SHA-256): reinstall the package")
+    try:
+        with safe_open(path, framework="pt") as stored:
+            metadata = stored.metadata() or {}
+            tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(
+            f"{path} is not a readable safetensors file ({error}): give a file of airline.train"
+        ) from None
+    try:
+        spec = UNetSpec(**{field.name: int(metadata[field.name]) for field in fields(UNetSpec)})
+        if not all(1 <= getattr(spec, field.name) <= 1024 for field in fields(UNetSpec)) or spec.levels > 8:
+            raise ValueError("its network shape is out of range")
+        with torch.device("meta"):
+            net = UNet(spec)
+        net.load_state_dict(tensors, strict=True, assign=True)
+        if not all(t.is_floating_point() and bool(t.isfinite().all()) for t in tensors.values()):
+            raise ValueError("it holds values that are not finite numbers")
+    except (KeyError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{path} does not hold weights of this edge network ({reason}): train with airline.train"
+        ) from None
+    return net.float().eval()
+
+
+def save_unet(net: UNet, path: Path, **notes: str) -> str:
+    """Write a network (batch normalisation folded) and notes about its training; returns the file's SHA-256."""
+    from safetensors.torch import save
+
+    tensors = {key: value.detach().cpu().contiguous() for key, value in net.folded().state_dict().items()}
+    data = save(tensors, metadata={**notes, **net.spec.to_metadata()})
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(data)
+    partial.replace(path)
+    return hashlib.sha256(data).hexdigest()

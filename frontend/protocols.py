@@ -1,0 +1,66 @@
+"""What the pipeline needs of a source of frames and of a sink of results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from airline.trace import Trace
+from frontend.frame import Frame
+from frontend.tracks import LineTracks
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """All that is known of one frame after detection and tracking.
+
+    Attributes:
+        frame: the input.
+        trace: the detector's intermediate results and lines.
+        tracks: the tracks seen in this frame.
+        stage_ms: milliseconds per stage of the whole pipeline.
+    """
+
+    frame: Frame
+    trace: Trace
+    tracks: LineTracks
+    stage_ms: Mapping[str, float]
+
+
+@runtime_checkable
+class Source(Protocol):
+    """A stream of frames. Iterating yields frames in time order; a source is iterated once."""
+
+    @property
+    def name(self) -> str:
+        """Short name, for progress bars and file names."""
+        ...
+
+    @property
+    def frame_count(self) -> int | None:
+        """How many frames iteration will yield at most, or None for an endless stream."""
+        ...
+
+    @property
+    def skipped(self) -> int:
+        """How many frames could not be read so far."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def close(self) -> None:
+        """Release files and devices; safe to call twice."""
+        ...
+
+
+class Sink(Protocol):
+    """Where results go."""
+
+    def write(self, result: FrameResult) -> None:
+        """Take one frame's result."""
+        ...
+
+    def close(self) -> None:
+        """Finish what was written; safe to call twice."""
+        ...

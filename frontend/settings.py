@@ -1,0 +1,119 @@
+"""All settings of a run: presets, TOML files, and their checks."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from airline.config import DetectorConfig, preset
+from airline.errors import ConfigError, InputError
+from frontend.tracker import TrackerConfig
+
+T = TypeVar("T")
+
+
+class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which frames of the input are used.
+
+    Attributes:
+        start, end: seconds since the first frame.
+        stride: every how many frames one is used.
+        max_frames: at most this many frames are used.
+        resize: "WIDTHxHEIGHT", or "WIDTH" to keep the aspect.
+        fps: frame rate of folders without timestamps.
+        topic: image topic of a log.
+    """
+
+    start: float | None = None
+    end: float | None = None
+    stride: int = 1
+    max_frames: int | None = None
+    resize: str | None = None
+    fps: float = 30.0
+    topic: str | None = None
+
+
+class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What goes into the Rerun recording.
+
+    Attributes:
+        jpeg_quality: of images, 1 to 100.
+        descriptor_every: the float descriptor map is logged every so many frames; 0 never.
+    """
+
+    jpeg_quality: int = 80
+    descriptor_every: int = 30
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.jpeg_quality <= 100 or self.descriptor_every < 0:
+            raise ConfigError("recording needs a jpeg_quality of 1 to 100 and descriptor_every of at least 0")
+
+
+class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything that decides the result of a run."""
+
+    preset: str = "default"
+    device: str = "auto"
+    input: InputConfig = InputConfig()
+    detector: DetectorConfig = DetectorConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    recording: RecordingConfig = RecordingConfig()
+
+
+def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:
+    """Settings from a preset, a TOML file over it and flags over both.
+
+    Args:
+        path: TOML file; it may name any part of the settings, the rest keeps the preset's values.
+        flags: nested settings from the command line.
+
+    Raises:
+        InputError: the file cannot be read.
+        ConfigError: a setting is unknown, of the wrong type or out of range.
+    """
+    stored: dict[str, Any] = {}
+    if path is not None:
+        try:
+            stored = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot read the settings file {path} ({error}): give a TOML file") from None
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{path} is not valid TOML ({error}): write a fresh one with --dump-config") from None
+    chosen = _merge(stored, flags)
+    name = chosen.get("preset", "default")
+    base = {"detector": msgspec.to_builtins(preset(str(name)))}
+    return _convert(_merge(base, chosen), RunConfig)
+
+
+def dump(config: RunConfig) -> str:
+    """The settings as TOML that `load` reads back; settings without a value are left out."""
+    import tomli_w
+
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(config)))
+
+
+def _convert(values: dict[str, Any], kind: type[T]) -> T:
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"settings: {error}; --dump-config prints all of them") from None
+
+
+def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """`over` laid over `base`, tables into tables."""
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = _merge(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _without_none(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in values.items()
+        if value is not None
+    }

@@ -1,0 +1,107 @@
+"""What a run came to: counts, speed and track lengths, in constant memory."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from frontend.protocols import FrameResult
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+WINDOW = 10_000  # frames over which medians are taken
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of a run.
+
+    Attributes:
+        frames: frames processed.
+        fps: frames per second of wall time, sinks included.
+        stage_ms: median milliseconds per stage.
+        lines_per_frame: mean number of detected lines.
+        live_tracks_per_frame: mean number of tracks seen, tentative ones included.
+        tracks: number of tracks that were confirmed.
+        track_length_median: median number of frames in which a confirmed track was seen.
+        skipped_frames: frames that could not be read.
+    """
+
+    frames: int
+    fps: float
+    stage_ms: dict[str, float]
+    lines_per_frame: float
+    live_tracks_per_frame: float
+    tracks: int
+    track_length_median: float
+    skipped_frames: int
+
+    def to_dict(self) -> dict[str, object]:
+        """The figures as plain values, for JSON."""
+        return asdict(self)
+
+    def table(self) -> Table:
+        """The figures as a table for the terminal."""
+        from rich.table import Table
+
+        table = Table(show_header=False)
+        table.add_row("frames", f"{self.frames}" + (f" ({self.skipped_frames} skipped)" if self.skipped_frames else ""))
+        table.add_row("frames/s", f"{self.fps:.1f}")
+        for stage, spent in self.stage_ms.items():
+            table.add_row(f"{stage}, median ms", f"{spent:.2f}")
+        table.add_row("lines per frame", f"{self.lines_per_frame:.1f}")
+        table.add_row("live tracks per frame", f"{self.live_tracks_per_frame:.1f}")
+        table.add_row("tracks", f"{self.tracks}")
+        table.add_row("median track length, frames", f"{self.track_length_median:g}")
+        return table
+
+
+class SummaryCounter:
+    """Adds up results frame by frame."""
+
+    def __init__(self, confirm_hits: int) -> None:
+        """Count tracks as confirmed from `confirm_hits` frames on."""
+        self._confirm_hits = confirm_hits
+        self._started = time.perf_counter()
+        self._frames = self._lines = self._live = 0
+        self._stages: dict[str, deque[float]] = {}
+        self._lengths: Counter[int] = Counter()
+
+    def add(self, result: FrameResult) -> None:
+        """Count one frame."""
+        self._frames += 1
+        self._lines += len(result.trace.lines)
+        self._live += len(result.tracks)
+        self.add_time(result.stage_ms)
+        # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
+        for hits in result.tracks.hits.tolist():
+            self._lengths[hits] += 1
+            self._lengths[hits - 1] -= 1
+
+    def add_time(self, stage_ms: Mapping[str, float]) -> None:
+        """Count milliseconds of stages, once per frame and stage."""
+        for stage, spent in stage_ms.items():
+            self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
+
+    def summary(self, skipped: int) -> Summary:
+        """The figures so far."""
+        elapsed = time.perf_counter() - self._started
+        frames = max(self._frames, 1)
+        lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
+        sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
+        return Summary(
+            frames=self._frames,
+            fps=round(self._frames / elapsed, 2) if elapsed > 0 else 0.0,
+            stage_ms={stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()},
+            lines_per_frame=round(self._lines / frames, 2),
+            live_tracks_per_frame=round(self._live / frames, 2),
+            tracks=sum(lengths.values()),
+            track_length_median=float(np.median(sizes)),
+            skipped_frames=skipped,
+        )
