@@ -124,5 +124,7 @@ def _back_end(config: DetectorConfig) -> tuple[PixelSelector, OrientationDetecto
         RegionGrower(grow.similarity, grow.min_pixels, edges.seed_threshold, grow.seed_order),
         PaperFitter()
         if fit.kind == "paper"
-        else TotalLeastSquaresFitter(fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach),
+        else TotalLeastSquaresFitter(
+            fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach
+        ),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,49 +14,73 @@ RADII = (0, 1, 2, 3, 5, 10)
 
 @dataclass(frozen=True)
 class PixelScores:
-    """Scores of one image or the mean over many, in percent.
+    """Scores of one image, or the mean over many, in percent.
 
     Attributes:
-        lp: Line Precision per radius of `RADII` (equation 7 of the AirLine paper: the share of annotated pixels
-            within r px of a detection; a recall, so read it beside `precision`).
-        precision: share of detected pixels within 2 px of an annotated one.
-        recall: share of annotated pixels within 2 px of a detected one.
+        lp: Line Precision per radius of `RADII` (equation 7 of the AirLine paper): the share of the sparsely
+            annotated pixels within r px of a detected one. It is a recall, so read it beside a precision.
+        p1: share of the detected pixels within 1 px of a densely annotated one.
+        r1: share of the densely annotated pixels within 1 px of a detected one.
+        p2: `p1` at 2 px.
+        r2: `r1` at 2 px.
     """
 
     lp: tuple[float, ...]
-    precision: float
-    recall: float
+    p1: float
+    r1: float
+    p2: float
+    r2: float
 
     @property
-    def f_score(self) -> float:
-        """Harmonic mean of precision and recall."""
-        total = self.precision + self.recall
-        return 2 * self.precision * self.recall / total if total > 0 else 0.0
+    def f1(self) -> float:
+        """F-score at 1 px."""
+        return f_score(self.p1, self.r1)
+
+    @property
+    def f2(self) -> float:
+        """F-score at 2 px."""
+        return f_score(self.p2, self.r2)
 
 
-def draw(segments: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """(H, W) mask of one-pixel-wide lines through the given (N, 2, 2) segments, px."""
+def f_score(precision: float, recall: float) -> float:
+    """Harmonic mean; 0 where both are 0."""
+    total = precision + recall
+    return 2 * precision * recall / total if total > 0 else 0.0
+
+
+def draw(segments: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(H, W) mask of one-pixel-wide lines through (N, 2, 2) segments, px.
+
+    End points are rounded to whole pixels (halves to even): published scores were made so, and half a point of LP0
+    hangs on it.
+    """
     canvas = np.zeros(shape, np.uint8)
-    for start, end in np.rint(np.asarray(segments, np.float64) * 16).astype(int):
-        cv2.line(canvas, start.tolist(), end.tolist(), 255, 1, cv2.LINE_8, 4)
+    cv2.polylines(canvas, list(np.rint(segments).astype(np.int32)), isClosed=False, color=1)
     return canvas > 0
 
 
-def coverage(of: NDArray[np.bool_], by: NDArray[np.bool_], radius: float) -> float:
-    """Share of the pixels of one mask that lie within `radius` px (a disk) of the other mask; 1 where there are none."""
-    if not of.any():
-        return 1.0
-    distance = cv2.distanceTransform((~by).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return float((distance[of] <= radius + 1e-3).mean()) if by.any() else 0.0
+def distance_to(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) Euclidean distance of every pixel to the nearest one of the mask, px; infinite for an empty mask."""
+    if not mask.any():
+        return np.full(mask.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
+
+
+def coverage(mask: NDArray[np.bool_], distance: NDArray[np.float32], radius: float) -> float:
+    """Percentage of a mask's pixels whose distance is at most `radius` px; 100 for an empty mask."""
+    near = distance[mask] <= radius + 1e-3
+    return 100 * float(near.mean()) if near.size else 100.0
 
 
 def score(
-    segments: NDArray[np.float32],
-    sparse: NDArray[np.float32],
-    dense: NDArray[np.float32],
+    segments: NDArray[np.floating],
+    sparse: NDArray[np.floating],
+    dense: NDArray[np.floating],
     shape: tuple[int, int],
 ) -> PixelScores:
     """Scores of the segments of one image.
+
+    Nothing detected has full precision and no recall; nothing annotated is fully recalled.
 
     Args:
         segments: (N, 2, 2) detections, px.
@@ -63,16 +88,19 @@ def score(
         dense: (L, 2, 2) annotation for precision and recall, px.
         shape: (height, width) of the image.
     """
-    found, few, all_lines = (draw(lines, shape) for lines in (segments, sparse, dense))
-    lp = tuple(100 * coverage(few, found, radius) for radius in RADII)
-    return PixelScores(lp, 100 * coverage(found, all_lines, 2), 100 * coverage(all_lines, found, 2))
-
-
-def mean(scores: list[PixelScores]) -> PixelScores:
-    """Mean over images."""
-    lp = np.mean([s.lp for s in scores], axis=0)
+    found, few, many = (draw(lines, shape) for lines in (segments, sparse, dense))
+    to_found, to_many = distance_to(found), distance_to(many)
     return PixelScores(
-        tuple(lp.tolist()),
-        float(np.mean([s.precision for s in scores])),
-        float(np.mean([s.recall for s in scores])),
+        lp=tuple(coverage(few, to_found, radius) for radius in RADII),
+        p1=coverage(found, to_many, 1),
+        r1=coverage(many, to_found, 1),
+        p2=coverage(found, to_many, 2),
+        r2=coverage(many, to_found, 2),
     )
+
+
+def mean(scores: Sequence[PixelScores]) -> PixelScores:
+    """Mean over images; its F-scores are those of the mean precision and recall."""
+    lp = np.mean([s.lp for s in scores], axis=0).tolist()
+    p1, r1, p2, r2 = np.mean([(s.p1, s.r1, s.p2, s.r2) for s in scores], axis=0).tolist()
+    return PixelScores(tuple(lp), p1, r1, p2, r2)

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-POINTS = 4  # per line
-WINDOW = (15, 15)  # px
-LEVELS = 3
+POINTS = 3  # per line
+FLOW = {"winSize": (11, 11), "maxLevel": 3, "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 10, 0.03)}
 MAX_ROUND_TRIP = 1.0  # px, forward-backward error
 
 
@@ -33,9 +32,8 @@ def predict_segments(
     share = ((np.arange(POINTS) + 0.5) / POINTS).astype(np.float32)
     start, delta = segments[:, None, 0], segments[:, None, 1] - segments[:, None, 0]
     points = np.ascontiguousarray(start + share[None, :, None] * delta).reshape(-1, 1, 2)
-    options = {"winSize": WINDOW, "maxLevel": LEVELS}
-    moved, there, _ = cv2.calcOpticalFlowPyrLK(before, after, points, None, **options)
-    returned, back, _ = cv2.calcOpticalFlowPyrLK(after, before, moved, None, **options)
+    moved, there, _ = cv2.calcOpticalFlowPyrLK(before, after, points, None, **FLOW)
+    returned, back, _ = cv2.calcOpticalFlowPyrLK(after, before, moved, None, **FLOW)
     trusted = (there[:, 0] > 0) & (back[:, 0] > 0)
     trusted &= np.linalg.norm((returned - points)[:, 0], axis=1) < MAX_ROUND_TRIP
     predicted = _apply(_global_motion(points[trusted, 0], moved[trusted, 0]), segments)

@@ -6,6 +6,9 @@ import time
 from collections.abc import Iterator
 from os import PathLike
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airline.detector import AirLine
 from frontend.frame import Frame
 from frontend.protocols import FrameResult, Source
@@ -26,6 +29,17 @@ class LineFrontend:
         """Use the given detector and tracker, or the default ones."""
         self.detector = detector or AirLine()
         self.tracker = tracker or LineTracker()
+
+    def warm_up(self, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+        """Compile and load everything by a throw-away pass, so that the first frame takes no longer than the others.
+
+        Args:
+            image: an image like those to come; the tracker forgets nothing and learns nothing from it.
+        """
+        lines = self.detector(image)
+        tracker = LineTracker(self.tracker.config)
+        for index in range(2):
+            tracker.update(Frame(index, index, image), lines)
 
     def process(self, frame: Frame) -> FrameResult:
         """Detect and track in the next frame of a stream."""

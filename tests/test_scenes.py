@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from airline.errors import ConfigError
 from airline.scenes import CameraEffects, RenderedView, Sequence, render_sequence
 from airline.scenes.effects import blur_rotation, develop
+from airline.scenes.materials import Material
 from airline.scenes.paths import rotation
-from airline.scenes.primitives import WORLD, Light, Material, Scene, SceneBuilder, Walk, merge_collinear
+from airline.scenes.primitives import WORLD, Light, Scene, SceneBuilder, Walk, merge_collinear
 from airline.scenes.sequence import build_scene, render_scene
 
 KINDS = ("indoor", "street")

@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from airline.scenes.primitives import Frame, Material, SceneBuilder, colour, finish
+from airline.scenes.materials import Material, colour, finish
+from airline.scenes.primitives import Frame, SceneBuilder
 
 Item = Callable[[SceneBuilder, Frame, float, float, np.random.Generator], None]
 
@@ -81,7 +82,9 @@ def poster(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rando
         first, second = colour(rng, (0.03, 0.3), (0.2, 0.9)), colour(rng, (0.5, 0.95), (0.1, 0.8))
         picture = finish(rng, str(rng.choice(["blobs", "patches"])), first, rng.uniform(0.5, 1.1))
         picture = Material(picture.texture, first, second, picture.tile)
-        b.quad(f, (x + w - bar, 0.029, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), picture)
+        b.quad(f, (x + w - bar, 0.029, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), _paint(rng, 0.75, 0.95))
+        bar += 0.06
+        b.quad(f, (x + w - bar, 0.033, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), picture)
 
 
 def cabinet(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
@@ -232,7 +235,7 @@ def board(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random
 
 
 ITEMS: tuple[tuple[Item, float], ...] = (
-    (bookcase, 3.5),
+    (bookcase, 4.5),
     (poster, 1.5),
     (hanging_shelves, 1.0),
     (cabinet, 2.0),

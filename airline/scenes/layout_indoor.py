@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from airline.scenes.furniture import ITEMS
+from airline.scenes.materials import Material, colour, finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
-from airline.scenes.primitives import WORLD, Frame, Light, Material, Scene, SceneBuilder, Walk, colour, finish
+from airline.scenes.primitives import WORLD, Frame, Light, Scene, SceneBuilder, Walk
 
 _CLEARANCE = 1.15  # m that furniture may take from a wall, so that the camera's space stays free
 
@@ -26,7 +27,7 @@ def indoor_scene(rng: np.random.Generator) -> Scene:
     texture = str(rng.choice(["plaster", "plaster", "brick", "stone", "patches"]))
     contrast = {"plaster": 0.08, "brick": 0.2, "stone": 0.2, "patches": 0.08}[texture]
     skirting = finish(rng, "wood", colour(rng, (0.05, 0.2) if rng.random() < 0.5 else (0.8, 0.9), (0, 0.3)), 0.8, 0.1)
-    panel = finish(rng, "wood", colour(rng, (0.15, 0.6), (0.1, 0.6)), 0.8, 0.15) if rng.random() < 0.5 else None
+    panel = finish(rng, "wood", colour(rng, (0.15, 0.6), (0.1, 0.6)), 0.8, 0.15) if rng.random() < 0.7 else None
     style = _window_style(rng)
     # Seen from inside, x runs to the left along each wall and y points into the room.
     walls = (
@@ -83,7 +84,7 @@ def _floor(b: SceneBuilder, length: float, width: float, rng: np.random.Generato
 
 def _ceiling(b: SceneBuilder, length: float, width: float, height: float, rng: np.random.Generator) -> None:
     white = finish(rng, "plaster", (0.7, 0.72, 0.75), 1.5, 0.05)
-    if rng.random() < 0.4:
+    if rng.random() < 0.5:
         nx, ny = round(length / 0.9), round(width / 0.9)
         for i in range(nx):
             for j in range(ny):
@@ -121,7 +122,7 @@ def _window_style(rng: np.random.Generator) -> WindowStyle:
         rng, "wood" if dark else "plaster", colour(rng, (0.05, 0.2) if dark else (0.45, 0.6), (0, 0.4)), 0.8, 0.1
     )
     return WindowStyle(
-        glass, frame, int(rng.integers(1, 4)), int(rng.integers(1, 4)), rng.uniform(0.035, 0.06), 0.16, 0.08
+        glass, frame, int(rng.integers(2, 4)), int(rng.integers(1, 4)), rng.uniform(0.035, 0.06), 0.16, 0.08
     )
 
 

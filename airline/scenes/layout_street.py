@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from airline.scenes.materials import Material, colour, finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
-from airline.scenes.primitives import WORLD, Frame, Light, Material, Scene, SceneBuilder, Walk, colour, finish
+from airline.scenes.primitives import WORLD, Frame, Light, Scene, SceneBuilder, Walk
 
 _HALF = 26.0  # m from the middle of the street to the houses that close it
 
@@ -68,12 +69,12 @@ def _row(b: SceneBuilder, frame: Frame, span: float, rng: np.random.Generator) -
         if span - x - width < 4.0:
             width = span - x
         setback = rng.uniform(0.0, 0.5)
-        _house(b, frame.moved((x, -setback, 0)), width, 1.0, rng)
+        _house(b, frame.moved((x, -setback, 0)), width, rng)
         x += width
 
 
-def _house(b: SceneBuilder, f: Frame, width: float, depth: float, rng: np.random.Generator) -> None:
-    """A facade with rows of windows, a door, bands and a cornice; `depth` is how far its flanks reach back."""
+def _house(b: SceneBuilder, f: Frame, width: float, rng: np.random.Generator) -> None:
+    """A facade with rows of windows, a door, bands and a cornice, and a metre of its flanks."""
     floors, storey = int(rng.integers(2, 5)), rng.uniform(2.9, 3.7)
     height = floors * storey + rng.uniform(0.3, 1.0)
     name = str(rng.choice(["plaster", "brick", "stone", "patches"]))
@@ -112,8 +113,8 @@ def _house(b: SceneBuilder, f: Frame, width: float, depth: float, rng: np.random
                     _balcony(b, f.moved((x, 0, z - 0.15)), w, trim)
             holes.append(hole)
     wall(b, f, (0, width, 0, height), holes, face, "tlr")
-    b.quad(f, (0, 0, 0), (0, -depth, 0), (0, 0, height), face, "l")
-    b.quad(f, (width, -depth, 0), (0, depth, 0), (0, 0, height), face, "r")
+    b.quad(f, (0, 0, 0), (0, -1, 0), (0, 0, height), face, "l")
+    b.quad(f, (width, -1, 0), (0, 1, 0), (0, 0, height), face, "r")
     b.box(f, (-0.02, 0, height - 0.3), (width + 0.02, 0.3, height), trim)
     if rng.random() < 0.6:
         for floor in range(1, floors):

@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from airline.scenes.primitives import Frame, Material, SceneBuilder, colour, finish
+from airline.scenes.materials import Material, colour, finish
+from airline.scenes.primitives import Frame, SceneBuilder
 
 Span = tuple[float, float, float, float]  # x0, x1, z0, z1
 

@@ -11,26 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.scenes.textures import texture_index
+from airline.scenes.materials import Material, Vec
 
-Vec = tuple[float, float, float]
 PIPE_SIDES = 20
-
-
-@dataclass(frozen=True)
-class Material:
-    """A texture that blends two colours.
-
-    Attributes:
-        texture: index into the texture bank.
-        low, high: BGR linear albedo in [0, 1] where the texture is 0 and 1.
-        tile: size of one texture tile, m.
-    """
-
-    texture: int
-    low: Vec
-    high: Vec
-    tile: float
 
 
 @dataclass(frozen=True)
@@ -126,7 +109,8 @@ class Frame:
 
 
 WORLD = Frame()
-_AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
+# The axes that span each side of a box, in the order that turns its normal outwards.
+_PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z": (0, 1)}
 
 
 @dataclass
@@ -164,21 +148,16 @@ class SceneBuilder:
             sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
             self._lines.extend(sides[name] for name in edges)
 
-    def box(
-        self, frame: Frame, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ", lines: bool = True
-    ) -> None:
+    def box(self, frame: Frame, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ") -> None:
         """Add a cuboid between local corners; `faces` names its sides: "x" at the low x, "X" at the high x, ..."""
-        size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
-        shift = (hash_unit(low) * material.tile, hash_unit(high) * material.tile)
+        along = ((high[0] - low[0], 0.0, 0.0), (0.0, high[1] - low[1], 0.0), (0.0, 0.0, high[2] - low[2]))
+        far = {"X": (high[0], low[1], low[2]), "Y": (low[0], high[1], low[2]), "Z": (low[0], low[1], high[2])}
+        # Equal boxes in different places must not wear equal texture.
+        place = frame.point(low)
+        shift = (7.3 * place[0] + 3.1 * place[2], 5.9 * place[1] + 1.7 * place[2])
         for name in faces:
-            i, j, k = _AXES[name.lower()]
-            if name.islower():
-                i, j = j, i
-            u, v, corner = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], list(low)
-            u[i], v[j] = size[i], size[j]
-            if name.isupper():
-                corner[k] = high[k]
-            self.quad(frame, tuple(corner), tuple(u), tuple(v), material, "btlr" if lines else "", shift)  # type: ignore[arg-type]
+            i, j = _PLANES[name]
+            self.quad(frame, far.get(name, low), along[i], along[j], material, shift=shift)
 
     def line(self, frame: Frame, start: Vec, end: Vec) -> None:
         """Add a straight edge."""
@@ -240,11 +219,6 @@ class SceneBuilder:
             self._shifts.append((k * 2 * radius * float(np.sin(np.pi / PIPE_SIDES)), 0.0))
 
 
-def hash_unit(p: Vec) -> float:
-    """A number in [0, 1) that differs from place to place, so that equal boxes do not wear equal texture."""
-    return (p[0] * 12.9898 + p[1] * 78.233 + p[2] * 37.719) % 1.0
-
-
 def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> NDArray[np.float64]:
     """Union of the segments that lie on one line in space and overlap or touch.
 
@@ -280,29 +254,3 @@ def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> N
     rows = np.array([m[0] for m in merged])
     span = np.array([m[1:] for m in merged])
     return np.asarray(foot[rows, None] + span[:, :, None] * direction[rows, None])
-
-
-def colour(rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float] = (0.05, 0.5)) -> Vec:
-    """A random linear BGR colour with brightness and saturation within bounds."""
-    hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
-    bgr = [v * (1 - s * min(1.0, max(0.0, abs((hue + shift) % 6 - 3) - 1))) for shift in (2.0, 4.0, 0.0)]
-    return (bgr[0], bgr[1], bgr[2])
-
-
-def finish(
-    rng: np.random.Generator,
-    name: str,
-    base: Vec,
-    tile: float = 1.0,
-    contrast: float = 0.25,
-    variant: int | None = None,
-) -> Material:
-    """A material whose colours lie around `base`, apart by the relative `contrast`."""
-    variant = int(rng.integers(100)) if variant is None else variant
-    low = (base[0] * (1 - contrast), base[1] * (1 - contrast), base[2] * (1 - contrast))
-    high = (
-        min(1.0, base[0] * (1 + contrast)),
-        min(1.0, base[1] * (1 + contrast)),
-        min(1.0, base[2] * (1 + contrast)),
-    )
-    return Material(texture_index(name, variant), low, high, tile)

@@ -1,0 +1,82 @@
+"""Folders of images with annotated lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import InputError
+from airline.image import to_gray
+
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
+MAX_COORDINATE = 1e6  # px; the renderer draws with 32-bit integers
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One annotated image.
+
+    Attributes:
+        path: the image file.
+        sparse: (K, 2, 2) float64 px, the lines that matter most (Denis et al.'s Manhattan lines in YorkUrban).
+        dense: (L, 2, 2) float64 px, all lines (Cho et al.'s in YorkUrban).
+    """
+
+    path: Path
+    sparse: NDArray[np.float64]
+    dense: NDArray[np.float64]
+
+    def read(self) -> NDArray[np.uint8]:
+        """The (H, W) grey image.
+
+        Raises:
+            InputError: the file is no image.
+        """
+        image = cv2.imread(str(self.path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"{self.path} cannot be read as an image: replace or remove it")
+        return to_gray(image).astype(np.uint8, copy=False)
+
+
+def load_dataset(folder: Path, limit: int | None = None) -> list[Sample]:
+    """Samples of a folder with `images/`, `lines_denis/` (sparse) and `lines_cho/` (dense), sorted by name.
+
+    Args:
+        folder: every `images/NAME.*` has a `NAME.txt` in both other folders.
+        limit: use only the first so many images.
+
+    Raises:
+        InputError: a folder or file is missing or malformed, or there are no images.
+    """
+    images, sparse, dense = (folder / name for name in ("images", "lines_denis", "lines_cho"))
+    for part in (images, sparse, dense):
+        if not part.is_dir():
+            raise InputError(f"no folder {part}: a data set has the folders images, lines_denis and lines_cho")
+    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)[:limit]
+    if not paths:
+        raise InputError(f"no images in {images}: put photographs (jpg, png, ...) there")
+    return [
+        Sample(path, read_lines(sparse / f"{path.stem}.txt"), read_lines(dense / f"{path.stem}.txt")) for path in paths
+    ]
+
+
+def read_lines(path: Path) -> NDArray[np.float64]:
+    """(N, 2, 2) segments of a text file, px: one line per row, `x0 y0 x1 y1`; further columns are ignored.
+
+    Raises:
+        InputError: the file is missing or malformed.
+    """
+    if not path.is_file():
+        raise InputError(f"no line file {path}: write one per image, empty where there are no lines")
+    try:
+        rows = [row.split()[:4] for row in path.read_text(encoding="utf-8").splitlines() if row.strip()]
+        values = np.array(rows, np.float64).reshape(len(rows), 4)
+    except ValueError:  # ragged rows, too few columns, words, or not even text
+        raise InputError(f"{path} is malformed: every row must be four numbers, x0 y0 x1 y1") from None
+    if not (np.abs(values) <= MAX_COORDINATE).all():
+        raise InputError(f"{path} holds coordinates that no image has: they must be finite numbers of pixels")
+    return values.reshape(-1, 2, 2)

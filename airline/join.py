@@ -1,0 +1,83 @@
+"""Joining of collinear parts (rows as in `airline.moments`)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from airline.moments import principal
+
+CELL = 32.0  # px, side of the cells in which end points are looked up
+
+
+@njit(cache=True, nogil=True)
+def join(moments, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+    """Join collinear neighbours, longest first; returns for each part the part that it became one with."""
+    count = len(moments)
+    owner = np.arange(count)
+    if max_gap <= 0 or count == 0:
+        return owner
+    ends = moments[:, 6:].copy().reshape(2 * count, 2)
+    cells = np.maximum(ends / CELL, 0).astype(np.int64)
+    columns, rows = cells[:, 0].max() + 1, cells[:, 1].max() + 1
+    # the ends in each cell as a linked list
+    first = np.full((rows, columns), -1, np.int64)
+    following = np.empty(2 * count, np.int64)
+    for end in range(2 * count):
+        following[end] = first[cells[end, 1], cells[end, 0]]
+        first[cells[end, 1], cells[end, 0]] = end
+    lengths = np.hypot(ends[1::2, 0] - ends[::2, 0], ends[1::2, 1] - ends[::2, 1])
+    for i in np.argsort(-lengths, kind="mergesort"):
+        grown = owner[i] == i
+        while grown:
+            grown = False
+            for side in range(2):
+                partner = _partner(moments, owner, ends, first, following, i, side, max_gap, max_offset, min_cos)
+                if partner >= 0:
+                    owner[partner] = i
+                    moments[i, :6] += moments[partner, :6]
+                    _extend(moments, i, partner)
+                    grown = True
+                    break
+    return owner
+
+
+@njit(cache=True, nogil=True)
+def _partner(moments, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+    """The nearest collinear part beyond one end of part i, or -1."""
+    mx, my, ux, uy = principal(moments[i])
+    ex, ey = moments[i, 6 + 2 * side], moments[i, 7 + 2 * side]
+    if (ex - mx) * ux + (ey - my) * uy < 0:  # let (ux, uy) point outwards
+        ux, uy = -ux, -uy
+    rows, columns = first.shape
+    best, best_gap = -1, max_gap
+    for cy in range(int(max(ey - max_gap, 0) / CELL), min(rows - 1, int(max(ey + max_gap, 0) / CELL)) + 1):
+        for cx in range(int(max(ex - max_gap, 0) / CELL), min(columns - 1, int(max(ex + max_gap, 0) / CELL)) + 1):
+            end = first[cy, cx]
+            while end >= 0:
+                j, x, y = end // 2, ends[end, 0], ends[end, 1]
+                end = following[end]
+                gap = np.hypot(x - ex, y - ey)
+                if gap >= best_gap or j == i or owner[j] != j or (x - ex) * ux + (y - ey) * uy < -1:
+                    continue
+                nx, ny, vx, vy = principal(moments[j])
+                if abs(ux * vx + uy * vy) < min_cos or (nx - ex) * ux + (ny - ey) * uy < 0:
+                    continue
+                # its end must lie on our axis, and our end on its axis
+                ours, theirs = abs((x - mx) * uy - (y - my) * ux), abs((ex - nx) * vy - (ey - ny) * vx)
+                if ours <= max_offset and theirs <= max_offset:
+                    best, best_gap = j, gap
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _extend(moments, i, j):  # type: ignore[no-untyped-def]
+    """Set the end points of part i to the outermost projections of both parts' end points on the joint line."""
+    mx, my, ux, uy = principal(moments[i])
+    low, high = 1e30, -1e30
+    for part in (i, j):
+        for end in range(2):
+            t = (moments[part, 6 + 2 * end] - mx) * ux + (moments[part, 7 + 2 * end] - my) * uy
+            low, high = min(low, t), max(high, t)
+    moments[i, 6], moments[i, 7] = mx + low * ux, my + low * uy
+    moments[i, 8], moments[i, 9] = mx + high * ux, my + high * uy

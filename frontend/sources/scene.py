@@ -1,0 +1,41 @@
+"""The built-in clip: a rendered scene as a source of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from airline.scenes import Sequence, render_sequence
+from frontend.camera import CameraModel
+from frontend.frame import Frame
+
+
+class SceneSource:
+    """Frames of a rendered sequence, with its camera."""
+
+    def __init__(self, sequence: Sequence | None = None) -> None:
+        """Stream a sequence; the default is a hand-held walk of ten seconds along a corridor."""
+        self._sequence = sequence or Sequence(kind="indoor", motion="handheld", seed=12, frames=300)
+
+    @property
+    def name(self) -> str:
+        """Short name, for progress bars and file names."""
+        return f"{self._sequence.kind}-{self._sequence.motion}"
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames the sequence has."""
+        return len(self._sequence)
+
+    @property
+    def skipped(self) -> int:
+        """Always 0: nothing can be unreadable."""
+        return 0
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, view in enumerate(render_sequence(self._sequence, workers=2)):
+            height, width = view.depth.shape
+            fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
+            yield Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
+
+    def close(self) -> None:
+        """Nothing to release."""

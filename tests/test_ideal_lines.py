@@ -1,0 +1,44 @@
+"""Lines of known parameters through the stages after edge detection, by both presets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.ideal import ANGLES, binary_map, ideal_line, measure, report, soft_map
+
+SHIFTS = [(0.0, 0.0), (0.3, 0.2), (-0.45, 0.4)]
+
+
+@pytest.mark.parametrize("shift", SHIFTS)
+def test_default_is_exact_on_soft_ridges(shift, capsys):
+    errors = [measure("default", soft_map(line), line) for line in (ideal_line(a, shift) for a in ANGLES)]
+    with capsys.disabled():
+        print("\n" + report("default", "soft", errors))
+    assert [e.found for e in errors] == [1] * len(ANGLES)
+    assert max(e.angle for e in errors) <= 0.2
+    assert max(e.offset for e in errors) <= 0.1
+    assert max(e.ends for e in errors) <= 1.5
+
+
+def test_default_is_exact_on_one_pixel_staircases(capsys):
+    errors = [measure("default", binary_map(line), line) for line in (ideal_line(a, (0.5, 0.5)) for a in ANGLES)]
+    with capsys.disabled():
+        print("\n" + report("default", "binary", errors))
+    assert [e.found for e in errors] == [1] * len(ANGLES)
+    assert max(e.angle for e in errors) <= 0.2
+    assert max(e.offset for e in errors) <= 0.1
+    assert max(e.ends for e in errors) <= 1.5
+
+
+def test_paper_finds_every_line_with_a_larger_error(capsys):
+    lines = [ideal_line(a, (0.3, 0.2)) for a in ANGLES]
+    paper = [measure("paper", soft_map(line), line) for line in lines]
+    default = [measure("default", soft_map(line), line) for line in lines]
+    with capsys.disabled():
+        print("\n" + report("paper", "soft", paper))
+    assert [e.found for e in paper] == [1] * len(ANGLES)
+    for name in ("angle", "offset", "ends"):
+        assert np.mean([getattr(e, name) for e in paper]) > np.mean([getattr(e, name) for e in default])
+    assert max(e.angle for e in paper) <= 0.5
+    assert max(e.offset for e in paper) <= 0.5

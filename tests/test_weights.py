@@ -1,0 +1,93 @@
+"""Weights files: strict, checked, never unpickled."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+
+import pytest
+import torch
+
+import airline.weights
+from airline import UNetEdges, WeightsError
+from airline.unet import UNet, UNetSpec
+from airline.weights import BUNDLED, bundled_path, load_unet, save_unet
+
+
+def test_bundled_weights_load():
+    for name in BUNDLED:
+        net = load_unet(name)
+        assert not net.training
+        assert bundled_path(name).stat().st_size < 5_000_000
+
+
+def test_round_trip_folds_the_normalisation(tmp_path):
+    torch.manual_seed(0)
+    net = UNet(UNetSpec(base=8, levels=3, convs=2), norm=True)
+    with torch.no_grad():
+        for _ in range(3):  # move the running statistics away from their start
+            net(torch.randn(2, 1, 64, 64) * 3 + 1)
+    net.eval()
+    save_unet(net, tmp_path / "net.safetensors", note="a test")
+    loaded = load_unet(tmp_path / "net.safetensors")
+    assert loaded.spec == net.spec
+    image = torch.randn(1, 1, 32, 48)
+    assert torch.allclose(loaded(image), net(image), atol=1e-4)
+
+
+def test_a_damaged_bundled_file_is_refused(tmp_path, monkeypatch):
+    data = bytearray(bundled_path("default").read_bytes())
+    data[-5] ^= 1
+    (tmp_path / "default.safetensors").write_bytes(data)
+    monkeypatch.setattr(airline.weights, "bundled_path", lambda name: tmp_path / f"{name}.safetensors")
+    with pytest.raises(WeightsError, match="SHA-256"):
+        load_unet("default")
+
+
+def test_a_missing_file_is_refused():
+    with pytest.raises(WeightsError, match=r"no weights file .*nowhere"):
+        load_unet("nowhere.safetensors")
+
+
+@pytest.mark.parametrize("keep", [0, 4, 8, 100, 5000, 100_000])
+def test_a_truncated_file_is_refused(tmp_path, keep):
+    path = tmp_path / "cut.safetensors"
+    path.write_bytes(bundled_path("default").read_bytes()[:keep])
+    with pytest.raises(WeightsError, match="not a readable safetensors file"):
+        load_unet(path)
+
+
+def test_a_pickle_is_refused(tmp_path):
+    path = tmp_path / "weights.pt"
+    path.write_bytes(pickle.dumps({"a": 1}))
+    with pytest.raises(WeightsError, match="not a readable safetensors file"):
+        load_unet(path)
+
+
+def test_weights_of_another_network_are_refused(tmp_path):
+    from safetensors.torch import save_file
+
+    path = tmp_path / "other.safetensors"
+    save_file({"a": torch.zeros(3)}, path)
+    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
+        load_unet(path)
+    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec().to_metadata())
+    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
+        load_unet(path)
+    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec(base=10**6).to_metadata())
+    with pytest.raises(WeightsError, match="out of range"):
+        load_unet(path)
+
+
+def test_weights_that_are_not_numbers_are_refused(tmp_path):
+    net = UNet(UNetSpec())
+    with torch.no_grad():
+        net.head.bias[0] = float("nan")
+    save_unet(net, tmp_path / "nan.safetensors")
+    with pytest.raises(WeightsError, match="not finite"):
+        load_unet(tmp_path / "nan.safetensors")
+
+
+def test_a_copy_of_the_bundled_weights_works_as_a_file(tmp_path):
+    shutil.copy(bundled_path("default"), tmp_path / "copy.safetensors")
+    UNetEdges(tmp_path / "copy.safetensors", device="cpu")
