@@ -49,7 +49,7 @@ class UNetEdges:
         self.device = torch.device("cuda" if cuda else "cpu")
         net = load_unet(weights)
         self._stride = net.spec.stride
-        self._net = net.to(self.device, memory_format=torch.channels_last)
+        self._net = net.to(self.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
         """Edge probability; the image is normalised to zero mean and unit variance, so its range does not matter."""
@@ -88,8 +88,8 @@ class CannyEdges:
         image = to_uint8(gray)
         if self.sigma > 0:
             image = cv2.GaussianBlur(image, (0, 0), self.sigma)
-        edges = cv2.Canny(image, self.low, self.high, L2gradient=True)
-        return (edges > 0).astype(np.float32)
+        edges: NDArray[np.uint8] = cv2.Canny(image, self.low, self.high, L2gradient=True)
+        return edges.astype(np.float32) / np.float32(255)
 
 
 class ModuleEdges:

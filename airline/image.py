@@ -42,4 +42,5 @@ def to_uint8(gray: Gray) -> NDArray[np.uint8]:
         return gray.astype(np.uint8, copy=False)
     low, high = np.percentile(gray, (0.5, 99.5))
     scaled = (gray - np.float32(low)) * np.float32(255 / max(high - low, 1.0))
-    return np.clip(scaled, 0, 255).astype(np.uint8)
+    stretched: NDArray[np.uint8] = np.clip(scaled, 0, 255).astype(np.uint8)
+    return stretched

@@ -31,10 +31,12 @@ class LineSet:
     def lengths(self) -> NDArray[np.float32]:
         """(N,) float32 lengths in px."""
         delta = self.segments[:, 1] - self.segments[:, 0]
-        return np.hypot(delta[:, 0], delta[:, 1])
+        lengths: NDArray[np.float32] = np.hypot(delta[:, 0], delta[:, 1])
+        return lengths
 
     @property
     def angles(self) -> NDArray[np.float32]:
         """(N,) float32 angles of the undirected lines in [0, pi), radians, from x towards y."""
         delta = self.segments[:, 1] - self.segments[:, 0]
-        return np.mod(np.arctan2(delta[:, 1], delta[:, 0]), np.float32(np.pi))
+        angles: NDArray[np.float32] = np.mod(np.arctan2(delta[:, 1], delta[:, 0]), np.float32(np.pi))
+        return angles

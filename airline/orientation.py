@@ -85,7 +85,8 @@ class GradientOrientation:
         x, y = pixels[:, 0], pixels[:, 1]
         gradient = np.stack([cv2.Sobel(image, cv2.CV_32F, *order)[y, x] for order in ((1, 0), (0, 1))], axis=1)
         norm = np.linalg.norm(gradient, axis=1, keepdims=True)
-        return (gradient / np.maximum(norm, 1e-12)).astype(np.float32)
+        unit: NDArray[np.float32] = (gradient / np.maximum(norm, 1e-12)).astype(np.float32)
+        return unit
 
 
 @njit(cache=True, nogil=True)
@@ -96,7 +97,7 @@ def _correlate(padded, pixels, taps, subtract_mean):  # type: ignore[no-untyped-
         x, y = pixels[k, 0], pixels[k, 1]
         mean = 0.0
         for n in range(channels):
-            total = np.float32(0)
+            total = 0.0
             for i in range(length):
                 total += padded[y + taps[n, i, 0], x + taps[n, i, 1]]
             out[k, n] = total

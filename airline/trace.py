@@ -52,4 +52,5 @@ class Trace:
 
     def region_pixels(self, line: int) -> NDArray[np.int32]:
         """(K, 2) int32 pixels (x, y) of the region behind line `line`."""
-        return self.pixels[self.labels == line]
+        pixels: NDArray[np.int32] = self.pixels[self.labels == line]
+        return pixels

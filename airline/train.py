@@ -1,4 +1,4 @@
-"""Train the edge network on a folder of photographs, without labels: `python -m airline.train --images DIR --out FILE`."""
+"""Train the edge network on photographs without labels: `python -m airline.train --images DIR --out FILE`."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def batches(samples: list[Sample], schedule: Schedule, seed: int, first: int) ->
 
 def train(samples: list[Sample], net: UNet, schedule: Schedule, seed: int, checkpoint: Path | None = None) -> UNet:
     """Train in place and return the network; resumes from `checkpoint` when it exists."""
-    net = net.to(memory_format=torch.channels_last).train()
+    net = net.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(net.parameters(), lr=schedule.peak_rate, weight_decay=1e-4)
     first = _resume(net, optimiser, checkpoint)
     held_out, rest = samples[: max(1, len(samples) // 50)], samples[max(1, len(samples) // 50) :] or samples
@@ -148,7 +148,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.steps < 1 or not options.out.parent.is_dir():
             raise InputError("--steps must be at least 1 and the folder of --out must exist")
         paths = list_images(options.images)
-        np.random.default_rng(options.seed).shuffle(paths)  # type: ignore[arg-type]
+        np.random.default_rng(options.seed).shuffle(paths)
         cache = options.cache or options.out.with_name(options.out.stem + "-labels")
         samples = load_samples(paths[: options.limit], options.views, cache, workers=2)
         if not samples:

@@ -66,14 +66,16 @@ class CameraModel:
         """
         if self.distortion == "none":
             centre = np.array([self.cx, self.cy])
-            return ((points - centre) / np.array([self.fx, self.fy])).astype(np.float32)
+            plane: NDArray[np.float32] = ((points - centre) / np.array([self.fx, self.fy])).astype(np.float32)
+            return plane
         import cv2
 
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(points.shape, np.float32)
         undistort = cv2.fisheye.undistortPoints if self.distortion == "equidistant" else cv2.undistortPoints
-        return undistort(flat, self.matrix, self.coefficients).reshape(points.shape).astype(np.float32)
+        plane = undistort(flat, self.matrix, self.coefficients).reshape(points.shape).astype(np.float32)
+        return plane
 
     def scaled(self, width: int, height: int) -> CameraModel:
         """The same camera for images resized to width x height px."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
+from msgspec import Meta
 
-from airline.config import DetectorConfig, preset
+from airline.config import DetectorConfig, Preset, preset
 from airline.errors import ConfigError, InputError
 from frontend.tracker import TrackerConfig
 
@@ -27,13 +29,32 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         topic: image topic of a log.
     """
 
-    start: float | None = None
-    end: float | None = None
-    stride: int = 1
-    max_frames: int | None = None
+    start: Annotated[float, Meta(ge=0)] | None = None
+    end: Annotated[float, Meta(gt=0)] | None = None
+    stride: Annotated[int, Meta(ge=1)] = 1
+    max_frames: Annotated[int, Meta(ge=1)] | None = None
     resize: str | None = None
-    fps: float = 30.0
+    fps: Annotated[float, Meta(gt=0)] = 30.0
     topic: str | None = None
+
+    def __post_init__(self) -> None:
+        start = self.start or 0.0
+        if self.end is not None and self.end <= start:
+            raise ConfigError(f"end must be later than start, and {self.end:g} s is not later than {start:g} s")
+        _ = self.size
+
+    @property
+    def size(self) -> tuple[int, int | None] | None:
+        """`resize` as (width, height), px; height is None to keep the aspect."""
+        if self.resize is None:
+            return None
+        width, separator, height = self.resize.lower().partition("x")
+        try:
+            return int(width), int(height) if separator else None
+        except ValueError:
+            raise ConfigError(
+                f"cannot resize to '{self.resize}': give WIDTHxHEIGHT or WIDTH, px, e.g. 640x480"
+            ) from None
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,19 +65,15 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         descriptor_every: the float descriptor map is logged every so many frames; 0 never.
     """
 
-    jpeg_quality: int = 80
-    descriptor_every: int = 30
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.jpeg_quality <= 100 or self.descriptor_every < 0:
-            raise ConfigError("recording needs a jpeg_quality of 1 to 100 and descriptor_every of at least 0")
+    jpeg_quality: Annotated[int, Meta(ge=1, le=100)] = 80
+    descriptor_every: Annotated[int, Meta(ge=0)] = 30
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that decides the result of a run."""
 
-    preset: str = "default"
-    device: str = "auto"
+    preset: Preset = "default"
+    device: Literal["auto", "cpu", "cuda"] = "auto"
     input: InputConfig = InputConfig()
     detector: DetectorConfig = DetectorConfig()
     tracker: TrackerConfig = TrackerConfig()
@@ -77,7 +94,7 @@ def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:
     stored: dict[str, Any] = {}
     if path is not None:
         try:
-            stored = tomllib.loads(path.read_text(encoding="utf-8"))
+            stored = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=_finite)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"cannot read the settings file {path} ({error}): give a TOML file") from None
         except tomllib.TOMLDecodeError as error:
@@ -99,7 +116,15 @@ def _convert(values: dict[str, Any], kind: type[T]) -> T:
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"settings: {error}; --dump-config prints all of them") from None
+        what, _, where = str(error).partition(" - at `$.")
+        raise ConfigError(f"setting {where.rstrip('`')}: {what}; --dump-config prints all settings") from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ConfigError(f"settings must be finite numbers, not {text}")
+    return value
 
 
 def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

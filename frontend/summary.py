@@ -68,10 +68,14 @@ class SummaryCounter:
     def __init__(self, confirm_hits: int) -> None:
         """Count tracks as confirmed from `confirm_hits` frames on."""
         self._confirm_hits = confirm_hits
-        self._started = time.perf_counter()
+        self.start()
         self._frames = self._lines = self._live = 0
         self._stages: dict[str, deque[float]] = {}
         self._lengths: Counter[int] = Counter()
+
+    def start(self) -> None:
+        """Start the clock anew: what went before was preparation."""
+        self._started = time.perf_counter()
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""

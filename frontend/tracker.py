@@ -144,4 +144,5 @@ class LineTracker:
 def _runs_backwards(reference: NDArray[np.float32], segments: NDArray[np.float32]) -> NDArray[np.bool_]:
     """(N,) mask of the segments that point against their (N, 2, 2) reference."""
     a, b = reference[:, 1] - reference[:, 0], segments[:, 1] - segments[:, 0]
-    return (a * b).sum(axis=1) < 0
+    backwards: NDArray[np.bool_] = (a * b).sum(axis=1) < 0
+    return backwards

@@ -56,7 +56,8 @@ class LineTracks:
     @property
     def confirmed(self) -> NDArray[np.bool_]:
         """(N,) mask of the tracks seen often enough to be trusted."""
-        return self.states == TrackState.CONFIRMED
+        mask: NDArray[np.bool_] = self.states == TrackState.CONFIRMED
+        return mask
 
     @property
     def segments_normalized(self) -> NDArray[np.float32] | None:

@@ -16,7 +16,7 @@ MIN_LENGTH = 10.0  # px in the common area
 BEST = 50  # matches that count for the localisation
 
 Lines = NDArray[np.floating]
-Homography = NDArray[np.float64]
+Homography = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,7 @@ def match(first: Lines, second: Lines) -> NDArray[np.float64]:
     return np.array(matched, np.float64)
 
 
-def measure(
-    first: Lines, second: Lines
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def measure(first: Lines, second: Lines) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(N, M) distances (px), overlaps and absolute cosines of all pairs of (N, 2, 2) and (M, 2, 2) lines.
 
     The distance is the mean of the four distances of an end point to the other's infinite line; the overlap the share

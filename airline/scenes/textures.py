@@ -69,7 +69,8 @@ def _plaster(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def _speckle(rng: np.random.Generator) -> NDArray[np.float64]:
     grains = cv2.GaussianBlur(rng.random((SIZE, SIZE)), (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
-    return 0.5 + 0.1 * _noise(rng, 1.0) + 0.25 * ((grains > 0.62) - 1.0 * (grains < 0.38))
+    speckle: NDArray[np.float64] = 0.5 + 0.1 * _noise(rng, 1.0) + 0.25 * ((grains > 0.62) - 1.0 * (grains < 0.38))
+    return speckle
 
 
 def _wood(rng: np.random.Generator) -> NDArray[np.float64]:

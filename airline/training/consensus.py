@@ -7,6 +7,7 @@ warps of it, map the segments back, and give every piece of a line the share of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +41,8 @@ def detect_lsd(gray: NDArray[np.uint8]) -> NDArray[np.float32]:
         if lines is not None:  # OpenCV scales its result back about the pixel corner; we count from the centre
             found.append((lines.reshape(-1, 2, 2) + (0.5 / scale - 0.5)).astype(np.float32))
     segments = np.concatenate(found)
-    return segments[np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) >= MIN_LENGTH]
+    long: NDArray[np.float32] = segments[np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) >= MIN_LENGTH]
+    return long
 
 
 def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float64]:
@@ -59,17 +61,18 @@ def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np
     seen = cv2.perspectiveTransform(corners[None], tilt @ centre)[0]
     back = np.eye(3)
     back[:2, 2] = -seen.min(axis=0)
-    return back @ tilt @ centre
+    homography: NDArray[np.float64] = back @ tilt @ centre
+    return homography
 
 
 def degrade(rng: np.random.Generator, gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Random gamma, contrast, blur and noise of one view."""
-    image = 255 * (gray / np.float32(255)) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    image: NDArray[Any] = 255 * (gray / np.float32(255)) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
     image *= np.float32(rng.uniform(0.6, 1.1))
     if rng.random() < 0.4:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
     image += rng.normal(0, rng.uniform(0, 4), image.shape).astype(np.float32)
-    return np.clip(image, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(image, 0, 255), np.uint8)
 
 
 def consensus(gray: NDArray[np.uint8], views: int, rng: np.random.Generator) -> PseudoLabels:
@@ -102,7 +105,8 @@ def _view_lines(
     if not len(lines):
         return lines
     inverse = np.linalg.inv(homography)
-    return cv2.perspectiveTransform(lines.reshape(1, -1, 2).astype(np.float64), inverse).reshape(-1, 2, 2).astype("f4")
+    back = cv2.perspectiveTransform(lines.reshape(1, -1, 2).astype(np.float64), inverse)
+    return np.asarray(back.reshape(-1, 2, 2), np.float32)
 
 
 @njit(cache=True, nogil=True)

@@ -7,6 +7,7 @@ import logging
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -74,7 +75,7 @@ def load_samples(paths: list[Path], views: int, cache: Path, workers: int) -> li
 
 
 def draw_labels(segments: NDArray[np.float32], shares: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """(size, size) soft edge map: the share of each piece times a Gaussian profile across it; maxima where they meet."""
+    """(size, size) soft edge map: each piece is its share times a Gaussian profile; the maximum where pieces meet."""
     target = np.zeros((size, size), np.float32)
     _draw(segments, shares, target)
     return target
@@ -129,7 +130,7 @@ def random_light(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[
     """A camera's bad days: gamma, contrast, motion blur, defocus, over-exposure, darkness and noise, in this order."""
     if rng.random() < 0.15:
         return image
-    x = image.astype(np.float32)
+    x: NDArray[Any] = image.astype(np.float32)
     if rng.random() < 0.5:
         x = 255 * (x / 255) ** np.float32(np.exp(rng.uniform(-0.6, 0.6)))
     if rng.random() < 0.2:
@@ -144,7 +145,7 @@ def random_light(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[
         x += np.float32(rng.uniform(0, 30))
     if rng.random() < 0.65:
         x += rng.standard_normal(x.shape, np.float32) * np.float32(rng.uniform(0.5, 12) if light < 0.65 else 4)
-    return np.clip(np.rint(x), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(x), 0, 255), np.uint8)
 
 
 def motion_kernel(length: int, angle: float) -> NDArray[np.float32]:
@@ -156,4 +157,5 @@ def motion_kernel(length: int, angle: float) -> NDArray[np.float32]:
     kernel = np.zeros((side, side), np.uint8)
     cv2.line(kernel, ends[0].tolist(), ends[1].tolist(), 255, 1, cv2.LINE_AA, 4)
     weights = kernel.astype(np.float32) + kernel[::-1, ::-1]
-    return weights / weights.sum()
+    kernel_of_one: NDArray[np.float32] = weights / weights.sum()
+    return kernel_of_one

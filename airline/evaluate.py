@@ -1,0 +1,116 @@
+"""Score the detector on annotated images, beside OpenCV's LSD: `python -m airline.evaluate DATASET_DIR`.
+
+The data set has `images/`, `lines_denis/` (sparse annotation) and `lines_cho/` (dense annotation), as YorkUrban is
+handed around: a text file per image, a line `x0 y0 x1 y1` per row, px, centre of the top-left pixel at (0, 0).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from airline.errors import AirLineError, InputError
+
+if TYPE_CHECKING:
+    from airline.evaluation.benchmark import Detect
+
+LEGEND = """\
+LPr: share of the sparsely annotated pixels within r px of a detection; a recall, so read it beside P2.
+P2, R2, F2: precision and recall within 2 px of the dense annotation, and their F-score; F1: the F-score at 1 px.
+Repeatability, localisation: over random views of every image under other light, by one-to-one matches within 3 px.
+Bad light: a quarter of the light with noise; 9 px of motion blur; twice the light, clipped."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Prints errors as one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print and exit with 2."""
+        self.exit(2, f"error: {message}; see --help\n")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All arguments."""
+    parser = Parser(
+        prog="python -m airline.evaluate",
+        description="Score the line detector on annotated images, with OpenCV's LSD beside it.",
+        epilog=LEGEND,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse) and lines_cho/ (dense)")
+    parser.add_argument("--preset", default="default", help="default or paper (default: %(default)s)")
+    parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument(
+        "--predictions",
+        type=Path,
+        metavar="DIR",
+        help="score the lines of another detector instead: text files like the annotation, one per image",
+    )
+    parser.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    options = build_parser().parse_args(arguments)
+    try:
+        run(options)
+    except AirLineError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def run(options: argparse.Namespace) -> None:
+    """Evaluate, print the tables and write the JSON.
+
+    Raises:
+        AirLineError: an argument or file cannot be used.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from airline.evaluation.benchmark import measure, measure_files
+    from airline.evaluation.dataset import load_dataset
+    from airline.evaluation.tables import tables
+
+    if options.limit is not None and options.limit < 1:
+        raise InputError("--limit must be at least 1")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
+    samples = load_dataset(options.dataset, options.limit)
+    progress = track(samples, "images", console=Console(stderr=True), transient=True)
+    if options.predictions is not None:
+        name, figures = options.predictions.name, measure_files(progress, options.predictions)
+    else:
+        name, figures = (
+            "AirLine" if options.preset == "default" else f"AirLine, {options.preset}",
+            measure(progress, _detector(options.preset, options.weights)),
+        )
+    console = Console()
+    for table in tables(name, figures):
+        console.print(table)
+    console.print(LEGEND)
+    if options.json is not None:
+        options.json.write_text(json.dumps({"images": len(samples), **figures}, indent=2) + "\n", encoding="utf-8")
+
+
+def _detector(preset: str, weights: str | None) -> Detect:
+    import msgspec
+
+    from airline.config import preset as settings_of
+    from airline.detector import AirLine
+
+    config = settings_of(preset)
+    if weights is not None:
+        config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=weights))
+    detector = AirLine(config=config)
+    return lambda image: detector(image).segments
+
+
+if __name__ == "__main__":
+    sys.exit(main())

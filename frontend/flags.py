@@ -1,0 +1,68 @@
+"""The flags of the command line."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from airline import __version__
+
+EXIT_USER_ERROR = 2
+
+
+class Parser(argparse.ArgumentParser):
+    """Prints errors as one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print and exit with 2."""
+        self.exit(EXIT_USER_ERROR, f"error: {message}; see --help\n")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All flags; those without a default leave the setting as the preset or the --config file has it."""
+    parser = Parser(
+        prog="python -m frontend.run",
+        description="Detect and track line segments in a stream and record everything for the Rerun viewer.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "input",
+        nargs="?",
+        help="video file, image folder or glob, camera index, stream URL or .mcap log (default: the built-in clip)",
+    )
+    parser.add_argument("--version", action="version", version=f"airline-frontend {__version__}")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice for debugging")
+    output = parser.add_argument_group("output")
+    output.add_argument("--save", type=Path, metavar="FILE.rrd", help="record into this file instead of a viewer")
+    output.add_argument("--headless", action="store_true", help="open no viewer even where there is a display")
+    output.add_argument("--summary", type=Path, metavar="FILE.json", help="write the final figures as JSON")
+    frames = parser.add_argument_group("frames")
+    frames.add_argument("--start", type=float, metavar="S", help="skip the first S seconds")
+    frames.add_argument("--end", type=float, metavar="S", help="stop S seconds after the first frame")
+    frames.add_argument("--stride", type=int, metavar="N", help="use every N-th frame")
+    frames.add_argument("--max-frames", type=int, metavar="N", help="stop after N frames")
+    frames.add_argument("--resize", metavar="WxH", help="resize frames, e.g. 640x480, or 640 to keep the aspect")
+    frames.add_argument("--fps", type=float, help="frame rate of image folders without timestamps")
+    frames.add_argument("--topic", help="image topic of a log")
+    model = parser.add_argument_group("detector")
+    model.add_argument("--preset", choices=["default", "paper"], help="settings to start from")
+    model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
+    model.add_argument("--device", choices=["auto", "cpu", "cuda"], help="where the edge network runs")
+    settings = parser.add_argument_group("settings")
+    settings.add_argument("--config", type=Path, metavar="FILE.toml", help="settings; flags override them")
+    settings.add_argument("--dump-config", action="store_true", help="print all settings as TOML and exit")
+    return parser
+
+
+def settings_of(options: argparse.Namespace) -> dict[str, Any]:
+    """The flags that were given, in the settings' own structure."""
+    names = ("start", "end", "stride", "max_frames", "resize", "fps", "topic")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    flags: dict[str, Any] = {"input": given} if given else {}
+    for name in ("preset", "device"):
+        if getattr(options, name) is not None:
+            flags[name] = getattr(options, name)
+    if options.weights is not None:
+        flags["detector"] = {"edges": {"weights": options.weights}}
+    return flags

@@ -1,0 +1,58 @@
+"""What a run shows in the terminal: a progress bar, and log lines above it."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
+    """A progress bar with frames/s on stderr; none where that is no terminal. Yields what to call per frame.
+
+    Args:
+        name: shown before the bar.
+        total: number of frames to come, or None where nobody knows.
+    """
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.1f} frames/s" if speed else "")
+
+    title = TextColumn("{task.description}", markup=False)  # a file name may hold brackets
+    columns = (title, BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(name, total=total)
+        yield lambda: bar.advance(task)
+
+
+class StderrHandler(logging.Handler):
+    """Prints to what sys.stderr is at that time: the progress bar takes its place to keep such lines above itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record."""
+        print(self.format(record), file=sys.stderr)
+
+
+def set_up_logging(verbosity: int) -> None:
+    """Warnings of everybody, and of our own packages as much as is asked for."""
+    logging.basicConfig(format="%(levelname)s: %(message)s", handlers=[StderrHandler()])
+    for package in ("airline", "frontend", "logs", "viz"):
+        logging.getLogger(package).setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(verbosity, 2)])
