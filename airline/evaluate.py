@@ -18,10 +18,16 @@ if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect
 
 LEGEND = """\
-LPr: share of the sparsely annotated pixels within r px of a detection; a recall, so read it beside P2.
-P2, R2, F2: precision and recall within 2 px of the dense annotation, and their F-score; F1: the F-score at 1 px.
-Repeatability, localisation: over random views of every image under other light, by one-to-one matches within 3 px.
-Bad light: a quarter of the light with noise; 9 px of motion blur; twice the light, clipped."""
+LPr: share of the sparsely annotated pixels within r px of a detection, %;
+  it is a recall, so read it beside P2.
+P2, R2, F2: precision and recall within 2 px of the dense annotation, and their
+  F-score, %. F1: the F-score at 1 px.
+Repeatability, localisation: of three random views per image under other light,
+  the share of lines that match one to one within 3 px, and the mean distance of
+  the 50 best matches.
+Bad light: a quarter of the light with noise; 9 px of motion blur; twice the
+  light, clipped. "LSD, prepared" is LSD after the blur, sharpening or stretch
+  that helps it most."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -72,7 +78,7 @@ def run(options: argparse.Namespace) -> None:
         AirLineError: an argument or file cannot be used.
     """
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress
 
     from airline.evaluation.benchmark import measure, measure_files
     from airline.evaluation.dataset import load_dataset
@@ -83,14 +89,14 @@ def run(options: argparse.Namespace) -> None:
     if options.json is not None and not options.json.parent.is_dir():
         raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
     samples = load_dataset(options.dataset, options.limit)
-    progress = track(samples, "images", console=Console(stderr=True), transient=True)
-    if options.predictions is not None:
-        name, figures = options.predictions.name, measure_files(progress, options.predictions)
-    else:
-        name, figures = (
-            "AirLine" if options.preset == "default" else f"AirLine, {options.preset}",
-            measure(progress, _detector(options.preset, options.weights)),
-        )
+    errors = Console(stderr=True)
+    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        steps = progress.track(samples, description="images")
+        if options.predictions is not None:
+            name, figures = options.predictions.resolve().name, measure_files(steps, options.predictions)
+        else:
+            name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
+            figures = measure(steps, _detector(options.preset, options.weights))
     console = Console()
     for table in tables(name, figures):
         console.print(table)

@@ -74,11 +74,12 @@ class SummaryCounter:
         self._lengths: Counter[int] = Counter()
 
     def start(self) -> None:
-        """Start the clock anew: what went before was preparation."""
-        self._started = time.perf_counter()
+        """Start the clock anew: all before was preparation."""
+        self._started = self._latest = time.perf_counter()
 
     def add(self, result: FrameResult) -> None:
         """Count one frame."""
+        self._latest = time.perf_counter()  # not the time of the summary: a viewer that is gone blocks the closing
         self._frames += 1
         self._lines += len(result.trace.lines)
         self._live += len(result.tracks)
@@ -95,7 +96,7 @@ class SummaryCounter:
 
     def summary(self, skipped: int) -> Summary:
         """The figures so far."""
-        elapsed = time.perf_counter() - self._started
+        elapsed = self._latest - self._started
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)

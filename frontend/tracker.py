@@ -30,8 +30,8 @@ class TrackerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     confirm_hits: int = 3
     max_missed: int = 5
-    band: float = 5.0
-    min_agreement: float = 0.85
+    band: float = 4.0
+    min_agreement: float = 0.5
     min_vote: float = 0.2
     max_gap_s: float = 1.0
 

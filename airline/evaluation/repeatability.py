@@ -75,7 +75,7 @@ def compare(image_lines: Lines, view_lines: Lines, homography: Homography, shape
 
 def match(first: Lines, second: Lines) -> NDArray[np.float64]:
     """Ascending distances, px, of a one-to-one matching of (N, 2, 2) and (M, 2, 2) lines, the nearest pairs first."""
-    distance, overlap, cosine = measure(first, second)
+    distance, overlap, cosine = measure_pairs(first, second)
     distance[(overlap < MIN_OVERLAP) | (cosine < np.cos(MAX_ANGLE))] = inf
     rows, columns = np.nonzero(distance <= MAX_DISTANCE)
     free_rows, free_columns = np.ones(len(first), bool), np.ones(len(second), bool)
@@ -88,7 +88,7 @@ def match(first: Lines, second: Lines) -> NDArray[np.float64]:
     return np.array(matched, np.float64)
 
 
-def measure(first: Lines, second: Lines) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def measure_pairs(first: Lines, second: Lines) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(N, M) distances (px), overlaps and absolute cosines of all pairs of (N, 2, 2) and (M, 2, 2) lines.
 
     The distance is the mean of the four distances of an end point to the other's infinite line; the overlap the share
@@ -117,7 +117,7 @@ def _directions(lines: Lines) -> NDArray[np.float64]:
 
 
 def _long_enough(lines: Lines) -> Lines:
-    return lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) >= MIN_LENGTH]
+    return np.asarray(lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) >= MIN_LENGTH])
 
 
 def corners(shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ def tables(name: str, figures: Figures) -> Iterator[Table]:
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for column in columns:
         table.add_column(column, justify="right")
     return table

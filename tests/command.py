@@ -1,0 +1,58 @@
+"""The command line, run inside this process, and what it recorded, read back."""
+
+from __future__ import annotations
+
+import io
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frontend.run import main
+
+EVERY_FRAME = {
+    *(f"/camera/{name}" for name in ("image", "edges", "orientation", "segments", "tracks")),
+    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed")),
+    *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "track")),
+    "/stats/track_length",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Exit code and everything printed."""
+
+    code: int | str | None
+    out: str
+    err: str
+
+
+def command(*arguments: object) -> Outcome:
+    """`python -m frontend.run` with these arguments; under pytest, log lines go to `caplog` and not to stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code: int | str | None = main([str(argument) for argument in arguments])
+        except SystemExit as stop:  # argparse
+            code = stop.code
+    return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
+    """Columns of every entity of a recording, rows in order of `frame`, times in ns."""
+    from rerun.chunk import RrdReader
+
+    entities: dict[str, dict[str, list[Any]]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        columns = entities.setdefault(chunk.entity_path, {})
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            is_time = str(column.type) in ("duration[ns]", "timestamp[ns]")
+            columns.setdefault(name, []).extend((column.cast("int64") if is_time else column).to_pylist())
+    for columns in entities.values():
+        if "frame" in columns:
+            order = sorted(range(len(columns["frame"])), key=columns["frame"].__getitem__)
+            columns.update(
+                {name: [rows[k] for k in order] for name, rows in columns.items() if len(rows) == len(order)}
+            )
+    return entities
