@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 from airline.errors import ConfigError
 
 Preset = Literal["default", "paper"]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Pixels = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 
 
 class EdgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -26,25 +28,25 @@ class EdgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     detector: Literal["unet", "canny"] = "unet"
     weights: str = "default"
     thin: bool = True
-    smoothing: int = 3
-    threshold: float = 0.15
-    seed_threshold: float = 0.3
+    smoothing: Annotated[int, msgspec.Meta(ge=1, le=31)] = 3
+    threshold: Share = 0.15
+    seed_threshold: Share = 0.3
 
 
 class OrientationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stage 2; see `LineKernelOrientation` and, for "gradient", `GradientOrientation`."""
 
     kind: Literal["lines", "gradient"] = "lines"
-    channels: int = 6
-    kernel_size: int = 7
+    channels: Annotated[int, msgspec.Meta(ge=2, le=64)] = 6
+    kernel_size: Annotated[int, msgspec.Meta(ge=3, le=63)] = 5
     subtract_mean: bool = True
 
 
 class GrowConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stage 3; see `RegionGrower`."""
 
-    similarity: float = 0.7
-    min_pixels: int = 8
+    similarity: Share = 0.7
+    min_pixels: Annotated[int, msgspec.Meta(ge=1)] = 8
     seed_order: Literal["raster", "straightest"] = "straightest"
 
 
@@ -52,12 +54,12 @@ class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Stage 4; see `TotalLeastSquaresFitter` and, for "paper", `PaperFitter`."""
 
     kind: Literal["total-least-squares", "paper"] = "total-least-squares"
-    min_length: float = 10.0
-    max_deviation: float = 2.0
-    max_gap: float = 8.0
-    max_offset: float = 1.0
-    max_angle: float = 5.0
-    max_reach: float = 8.0
+    min_length: Pixels = 10.0
+    max_deviation: Pixels = 2.0
+    max_gap: Pixels = 8.0
+    max_offset: Pixels = 1.0
+    max_angle: Annotated[float, msgspec.Meta(ge=0, le=90)] = 5.0
+    max_reach: Pixels = 8.0
 
 
 class DetectorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -76,10 +76,8 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     check_output(options.save, "--save", ".rrd")
     check_output(options.summary, "--summary", ".json")
     with closing(open_input(options.input, config)) as source:
-        save: Path | None = options.save
-        if save is None and (options.headless or not has_display()):
-            save = Path(f"{source.name}.rrd")
-        code, summary = process(source, config, lambda: [open_recording(save, source.name, config)])
+        save, viewer = where_to_record(options, source.name)
+        code, summary = process(source, config, lambda: [open_recording(save, viewer, source.name, config)])
     from rich.console import Console
 
     Console().print(summary.table())
@@ -90,13 +88,27 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     return code
 
 
-def open_recording(save: Path | None, name: str, config: RunConfig) -> Sink:
-    """The Rerun recording: a file, or a viewer where there is none."""
+def where_to_record(options: argparse.Namespace, name: str) -> tuple[Path | None, str | None]:
+    """The file to save, or the address of a viewer: a window where one can open and no file was asked for."""
+    if options.save is not None:
+        return options.save, None
+    if not options.headless and has_display():
+        from viz.viewer import open_viewer
+
+        viewer = open_viewer()
+        if viewer is not None:
+            return None, viewer
+        log.warning("no viewer window could be opened: saving %s.rrd instead", name)
+    return Path(f"{name}.rrd"), None
+
+
+def open_recording(save: Path | None, viewer: str | None, name: str, config: RunConfig) -> Sink:
+    """The Rerun recording, into a file or a viewer."""
     from viz.rerun_sink import RerunSink
 
     return RerunSink(
         save=save,
-        spawn=save is None,
+        connect=viewer,
         name=name,
         descriptor_every=config.recording.descriptor_every,
         jpeg_quality=config.recording.jpeg_quality,
@@ -160,6 +172,8 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], list[Sin
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code: 0, 2 for errors a user can mend, 130 after Ctrl-C."""
     options = build_parser().parse_args(arguments)
+    # read when torch loads: threads that spin while they wait stall each other when anything else is running
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     set_up_logging(options.verbose)
     try:
         from frontend.settings import dump, load

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +33,8 @@ class TrackerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     confirm_hits: int = 3
     max_missed: int = 5
     band: float = 4.0
-    min_agreement: float = 0.5
-    min_vote: float = 0.2
+    min_agreement: Annotated[float, msgspec.Meta(ge=-1, le=1)] = 0.5
+    min_vote: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     max_gap_s: float = 1.0
 
     def __post_init__(self) -> None:

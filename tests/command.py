@@ -1,8 +1,11 @@
-"""The command line, run inside this process, and what it recorded, read back."""
+"""The command line, inside this process or in one of its own, and what it recorded, read back."""
 
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +13,7 @@ from typing import Any
 
 from frontend.run import main
 
+ROOT = Path(__file__).parents[1]
 EVERY_FRAME = {
     *(f"/camera/{name}" for name in ("image", "edges", "orientation", "segments", "tracks")),
     *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed")),
@@ -36,6 +40,14 @@ def command(*arguments: object) -> Outcome:
         except SystemExit as stop:  # argparse
             code = stop.code
     return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own, with SIGINT as in a foreground job of a shell."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
+    start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    start += "runpy.run_module('frontend.run', run_name='__main__', alter_sys=True)"
+    return subprocess.Popen([sys.executable, "-c", start, *map(str, arguments)], env=environment, text=True, **options)
 
 
 def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-# Before torch is loaded: on small images threads gain nothing, and on a busy machine they wait for each other.
+# before torch is loaded: on small images threads gain nothing, and on a busy machine they wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 

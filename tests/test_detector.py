@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from airline import AirLine, CannyEdges, ConfigError, DetectorConfig, InputError, ModuleEdges
 from airline.config import EdgeConfig, GrowConfig, OrientationConfig
+from airline.image import to_uint8
 
 
 @pytest.fixture(scope="module")
@@ -171,3 +172,13 @@ def test_same_image_same_bits(airline):
     first, second = airline(room()), airline(room())
     assert np.array_equal(first.segments, second.segments)
     assert np.array_equal(first.scores, second.scores)
+
+
+def test_sixteen_bit_images_are_stretched_despite_hot_pixels():
+    ramp = np.tile(np.linspace(1000, 3000, 256).astype(np.uint16), (64, 1))
+    ramp[0, 0] = 65535
+    picture = to_uint8(ramp)
+    assert picture.dtype == np.uint8
+    assert int(picture[32, 128]) == pytest.approx(128, abs=4)
+    assert picture[32].min() == 0
+    assert picture[32].max() == 255

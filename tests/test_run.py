@@ -1,14 +1,11 @@
-"""The command line on good input: what it prints, writes, records and shows, and how it is interrupted."""
+"""The command line on good input: what it prints, writes, records and shows."""
 
 from __future__ import annotations
 
 import base64
 import json
 import logging
-import os
-import pty
 import re
-import signal
 import socket
 import statistics
 import subprocess
@@ -26,15 +23,10 @@ import pytest
 from mcap.writer import Writer
 
 from airline import __version__
-from airline.errors import InputError
-from frontend.frame import Frame
-from frontend.run import has_display, process
-from frontend.settings import RunConfig
+from frontend.run import has_display
 from frontend.terminal import set_up_logging
-from tests.command import EVERY_FRAME, Outcome, command, recorded
-from viz.rerun_sink import RerunSink
+from tests.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
 
-ROOT = Path(__file__).parents[1]
 FRAMES = 8
 PERIOD_NS = 33_333_333
 FLAGS = (
@@ -76,14 +68,6 @@ def picture_size(entities: dict[str, dict[str, list[Any]]]) -> tuple[int, int]:
     blob = np.array(entities["/camera/image"]["EncodedImage:blob"][0][0], np.uint8)
     height, width = cv2.imdecode(blob, cv2.IMREAD_UNCHANGED).shape[:2]
     return width, height
-
-
-def python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """Start Python where the packages are found. SIGINT is restored, which a shell's background jobs ignore."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
-    start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    start += "runpy.run_module('frontend.run', run_name='__main__', alter_sys=True)"
-    return subprocess.Popen([sys.executable, "-c", start, *map(str, arguments)], env=environment, text=True, **options)
 
 
 def test_it_succeeds_and_says_how_to_look_at_the_result(run: Run) -> None:
@@ -278,10 +262,10 @@ def test_help_is_quick_and_importing_is_light() -> None:
     seconds = []
     for _ in range(3):  # the best of three: another process may be in the way
         begin = time.monotonic()
-        with python("--help", stdout=subprocess.PIPE) as process:
-            text = process.communicate()[0]
+        with python("--help", stdout=subprocess.PIPE) as child:
+            text = child.communicate()[0]
         seconds.append(time.monotonic() - begin)
-        assert process.returncode == 0
+        assert child.returncode == 0
     assert min(seconds) < 1
     for flag in FLAGS:
         assert flag in text
@@ -296,128 +280,3 @@ def test_verbosity_is_about_our_own_packages() -> None:
         assert {logging.getLogger(f"{name}.x").getEffectiveLevel() for name in ("frontend", "logs", "viz")} == {level}
         assert not logging.getLogger("numba").isEnabledFor(logging.DEBUG)
     set_up_logging(0)
-
-
-def test_progress_bar_shows_in_a_terminal(clip: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "room [red]"  # a name that the bar could take for markup
-    folder.mkdir()
-    for number in range(40):
-        (folder / f"{number}.png").write_bytes((clip / f"{number % FRAMES}.png").read_bytes())
-    (folder / "20.png").write_bytes(b"no picture")
-    control, terminal = pty.openpty()
-    process = python(folder, "--save", tmp_path / "run.rrd", stdout=subprocess.PIPE, stderr=terminal)
-    os.close(terminal)
-    screen = b""
-    with process:
-        while True:
-            try:
-                part = os.read(control, 4096)
-            except OSError:  # how Linux says that nobody holds the terminal any more
-                break
-            if not part:
-                break
-            screen += part
-        out = process.communicate()[0]
-    os.close(control)
-    assert process.returncode == 0
-    assert "39 (1 skipped)" in out
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())
-    assert re.search(r"room \[red\] .* 39/40 +\d+\.\d frames/s", text)
-    (warning,) = (line for line in re.split(r"[\r\n]+", text) if "skipped" in line)
-    assert warning.startswith("WARNING: ")  # on a line of its own, not behind the bar
-
-
-@pytest.fixture(scope="module")
-def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("video") / "long.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (160, 120))
-    for number in range(6000):
-        image = np.full((120, 160, 3), 60, np.uint8)
-        cv2.rectangle(image, (20 + number % 40, 30), (90 + number % 40, 90), (200, 180, 160), -1)
-        writer.write(image)
-    writer.release()
-    return path
-
-
-def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> None:
-    save = tmp_path / "run.rrd"
-    flags = ["--save", save, "--summary", tmp_path / "run.json"]
-    with python(long_video, *flags, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        deadline = time.monotonic() + 60
-        while not save.exists() or save.stat().st_size < 100_000:
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        begin = time.monotonic()
-        out, err = process.communicate(timeout=30)
-    assert time.monotonic() - begin < 5
-    assert process.returncode == 130
-    assert err == "WARNING: interrupted: what was done so far is kept\n"
-    assert "rerun" in out
-    frames = json.loads((tmp_path / "run.json").read_text())["frames"]
-    assert re.search(rf"frames +│ {frames} ", out)
-    assert 0 < frames < 6000
-    rows = recorded(save)
-    for path in EVERY_FRAME:  # the frame at hand may be recorded in part
-        assert rows[path]["frame"] in (list(range(frames)), list(range(frames + 1)))
-    spent = [rows[f"/stats/time_ms/{stage}"]["Scalars:scalars"][:frames] for stage in STAGES[:-1]]
-    total = [sum(ms for (ms,) in stages) for stages in zip(*spent, strict=True)]
-    assert total[0] < 30 * statistics.median(total)  # compiling and loading, 150 times as long, was done before
-
-
-class FailingSource:
-    """The clip, until something happens before its fourth frame."""
-
-    name = "failing"
-    frame_count = FRAMES
-    skipped = 0
-
-    def __init__(self, folder: Path, error: BaseException) -> None:
-        self._folder, self._error = folder, error
-
-    def __iter__(self):
-        for number in range(3):
-            image = cv2.imread(str(self._folder / f"{number}.png"))
-            yield Frame(number, number * PERIOD_NS, image)
-        raise self._error
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.mark.parametrize(("error", "code"), [(InputError("the cable is out"), 2), (KeyboardInterrupt(), 130)])
-def test_what_was_written_before_the_end_is_readable(
-    clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
-) -> None:
-    save = tmp_path / "run.rrd"
-    done, summary = process(FailingSource(clip, error), RunConfig(), lambda: [RerunSink(save=save)])
-    assert (done, summary.frames) == (code, 3)
-    assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
-    assert capsys.readouterr().err == ("error: the cable is out\n" if code == 2 else "")
-
-
-def test_a_fault_of_ours_is_not_hidden_and_loses_nothing(clip: Path, tmp_path: Path) -> None:
-    save = tmp_path / "run.rrd"
-    with pytest.raises(ZeroDivisionError):
-        process(FailingSource(clip, ZeroDivisionError()), RunConfig(), lambda: [RerunSink(save=save)])
-    assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
-
-
-def test_opening_the_sinks_does_not_count_as_speed(clip: Path) -> None:
-    """Nor does the time count that closing takes."""
-    written = []
-
-    class Slow:
-        def __init__(self) -> None:
-            time.sleep(1)
-
-        def write(self, result: object) -> None:
-            written.append(result)
-
-        def close(self) -> None:
-            time.sleep(1)
-
-    _, summary = process(FailingSource(clip, KeyboardInterrupt()), RunConfig(), lambda: [Slow()])
-    assert len(written) == 3
-    assert summary.fps > len(written)

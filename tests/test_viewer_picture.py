@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from moving_rectangle import frame_results
 
+from tests.moving_rectangle import frame_results
 from viz.colours import track_colours
 from viz.rerun_sink import RerunSink
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 
 from airline.errors import ConfigError, InputError
+from tests.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 from viz.colours import angle_colours, track_colours
 from viz.overlay import draw_tracks
-from viz.pictures import coarse_descriptors, eight_bit, line_angles, orientation_image
+from viz.pictures import coarse_descriptors, line_angles, orientation_image
 from viz.rerun_sink import RerunSink
 
 FRAMES = 10
@@ -271,16 +271,6 @@ def test_angle_colours_are_periodic():
     almost_pi = np.array([np.pi - 1e-6, 0.0], np.float32)
     first, second = angle_colours(almost_pi, np.ones(2, np.float32))
     np.testing.assert_array_equal(first, second)
-
-
-def test_sixteen_bit_images_are_stretched_despite_hot_pixels():
-    ramp = np.tile(np.linspace(1000, 3000, 256).astype(np.uint16), (64, 1))
-    ramp[0, 0] = 65535
-    picture = eight_bit(ramp)
-    assert picture.dtype == np.uint8
-    assert int(picture[32, 128]) == pytest.approx(128, abs=4)
-    assert picture[32].min() == 0
-    assert picture[32].max() == 255
 
 
 def test_overlay_draws_where_the_tracks_are_in_their_colours():

@@ -12,19 +12,6 @@ from viz.colours import angle_colours
 MIN_STRENGTH = 0.35  # an edge pixel that the detector kept is never drawn darker than this
 
 
-def eight_bit(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """The image itself, or a 16-bit image stretched between its 1st and 99th percentile.
-
-    The percentiles keep a few hot pixels from turning the rest black; they are taken from every fourth row and column.
-    """
-    if image.dtype == np.uint8:
-        return np.asarray(image, np.uint8)
-    low, high = np.percentile(image[::4, ::4], (1, 99))
-    scale = 255 / max(high - low, 1)
-    stretched: NDArray[np.uint8] = np.clip((image.astype(np.float32) - low) * scale, 0, 255).astype(np.uint8)
-    return stretched
-
-
 def edge_image(trace: Trace) -> NDArray[np.uint8]:
     """(H, W) uint8: edge probability, 255 is certain."""
     return np.asarray(cv2.convertScaleAbs(trace.edges, alpha=255), np.uint8)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import socket
-import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -14,6 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError, InputError
+from airline.image import to_uint8
 from airline.trace import Trace
 from frontend.camera import CameraModel
 from frontend.frame import Frame
@@ -21,9 +21,9 @@ from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from viz.blueprint import layout
 from viz.colours import QUIET, track_colours
-from viz.pictures import coarse_descriptors, edge_image, eight_bit, orientation_image
+from viz.pictures import coarse_descriptors, edge_image, orientation_image
+from viz.viewer import PORT
 
-VIEWER_PORT = 9876
 FLUSH_S = 10  # how long a slow viewer may take to receive the rest of a run
 YEAR_2000_NS = 946_684_800_000_000_000
 CORNER = np.float32(0.5)  # Rerun puts (0, 0) at the corner of the top-left pixel, we put it at its centre
@@ -39,7 +39,6 @@ class RerunSink:
     Args:
         application_id: the viewer keeps its layout per application.
         save: .rrd file to write; an existing one is replaced.
-        spawn: open a viewer window of this environment's Rerun (or use the one that is already open).
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
         descriptor_every: log the float descriptors, at a quarter of the resolution, every so many frames; 0 is never.
@@ -55,14 +54,13 @@ class RerunSink:
         application_id: str = "airline-frontend",
         *,
         save: Path | None = None,
-        spawn: bool = False,
         connect: str | None = None,
         name: str | None = None,
         descriptor_every: int = 30,
         jpeg_quality: int = 80,
     ) -> None:
-        if save is None and not spawn and connect is None:
-            raise ConfigError("the Rerun sink has nowhere to log to: give it a file to save, spawn or connect")
+        if save is None and connect is None:
+            raise ConfigError("the Rerun sink has nowhere to log to: give it a file to save or a viewer to connect to")
         self._descriptor_every = descriptor_every
         self._jpeg_quality = jpeg_quality
         self._frames = 0
@@ -72,7 +70,7 @@ class RerunSink:
 
         self._stream = rr.RecordingStream(application_id)
         file = None if save is None else _file_sink(save)
-        viewer = _viewer_at(connect) if connect is not None else _spawned_viewer(self._stream) if spawn else None
+        viewer = None if connect is None else _viewer_at(connect)
         sinks = [sink for sink in (file, viewer) if sink is not None]
         if not sinks:  # a stream without any sink would keep the whole run in memory
             self._closed = True
@@ -128,7 +126,7 @@ class RerunSink:
 
     def _log_pictures(self, result: FrameResult) -> None:
         orientation = cv2.cvtColor(orientation_image(result.trace), cv2.COLOR_RGB2BGR)
-        self._log_jpeg("image", eight_bit(result.frame.image))
+        self._log_jpeg("image", to_uint8(result.frame.image))
         self._log_jpeg("edges", edge_image(result.trace))
         self._log_jpeg("orientation", np.asarray(orientation, np.uint8), cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
@@ -194,20 +192,10 @@ def _viewer_at(address: str) -> rr.GrpcSink | None:
     except (RuntimeError, ValueError):
         host = port = None
     if host is None or port is None:
-        raise ConfigError(f"'{address}' is no viewer address: write HOST:PORT, such as 127.0.0.1:{VIEWER_PORT}")
+        raise ConfigError(f"'{address}' is no viewer address: write HOST:PORT, such as 127.0.0.1:{PORT}")
     try:  # connecting to nobody would block every flush for seconds
         socket.create_connection((host, port), timeout=2).close()
     except OSError as reason:
         log.warning("no Rerun viewer answers at %s (%s): going on without it", address, reason)
         return None
     return sink
-
-
-def _spawned_viewer(stream: rr.RecordingStream) -> rr.GrpcSink | None:
-    executable = Path(sys.executable).parent / "rerun"
-    try:
-        rr.spawn(port=VIEWER_PORT, connect=False, executable_path=str(executable), recording=stream)
-    except RuntimeError as reason:
-        log.warning("cannot open the Rerun viewer (%s): going on without it", reason)
-        return None
-    return rr.GrpcSink(f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy")

@@ -16,7 +16,7 @@ from airline.errors import WeightsError
 if TYPE_CHECKING:
     from airline.unet import UNet
 
-BUNDLED = {"default": "a6933787519431ca4f83cb3ebb35d49f2a16416982e6838fd07bf9151d9d4c16"}
+BUNDLED = {"default": "21f6b75ec893a7b53d53866e27328b84184c7487790475736c06d1ffec8bddb2"}
 
 
 def bundled_path(name: str) -> Path:

@@ -1,0 +1,86 @@
+"""Opening the viewer's window: on a screen, and where there is none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.command import command
+from viz.viewer import open_viewer
+
+NO_SCREEN = ":4077"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def viewers(port: int) -> list[int]:
+    """Process ids of viewers at a port."""
+    needle = f"--port\0{port}\0".encode()
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if needle in (folder / "cmdline").read_bytes() + b"\0":
+                found.append(int(folder.name))
+        except OSError:  # it ended meanwhile
+            continue
+    return found
+
+
+def test_a_dead_display_opens_nothing(monkeypatch):
+    monkeypatch.setenv("DISPLAY", NO_SCREEN)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    port = free_port()
+    assert open_viewer(port) is None
+    assert viewers(port) == []
+
+
+def test_a_dead_display_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
+    monkeypatch.setenv("DISPLAY", NO_SCREEN)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, free_port()))
+    done = command(clip, "--max-frames", "2")
+    assert done.code == 0
+    assert "no viewer window could be opened: saving room.rrd instead" in caplog.text
+    assert (tmp_path / "room.rrd").stat().st_size > 1000
+
+
+@pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs a virtual screen (Debian: xvfb)")
+def test_a_window_opens_and_is_used_again(monkeypatch):
+    number = 90 + os.getpid() % 900
+    screen = subprocess.Popen(["Xvfb", f":{number}", "-screen", "0", "1024x768x24"], stderr=subprocess.DEVNULL)
+    monkeypatch.setenv("DISPLAY", f":{number}")
+    port = free_port()
+    try:
+        deadline = time.monotonic() + 10
+        while not Path(f"/tmp/.X11-unix/X{number}").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        address = f"127.0.0.1:{port}"
+        assert open_viewer(port) == address
+        running = viewers(port)
+        assert len(running) >= 1
+        assert open_viewer(port) == address
+        assert viewers(port) == running, "the open window is used, no second one comes"
+    finally:
+        for process in viewers(port):
+            os.kill(process, signal.SIGKILL)
+        screen.terminate()
+        screen.wait()
+
+
+def test_without_the_viewer_program_nothing_opens(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    assert open_viewer(free_port()) is None
