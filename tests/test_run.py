@@ -14,6 +14,7 @@ import time
 import warnings
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from airline import __version__
 from frontend.run import has_display
 from frontend.terminal import set_up_logging
 from tests.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
+from viz.viewer import open_viewer
 
 FRAMES = 8
 PERIOD_NS = 33_333_333
@@ -227,7 +229,7 @@ def test_with_a_display_everything_goes_to_the_viewer(
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("viz.rerun_sink.VIEWER_PORT", port)
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, port))
     received = tmp_path / "received.rrd"
     listen = [executable, "--port", str(port), "--save", str(received)]
     with subprocess.Popen(
