@@ -81,9 +81,9 @@ def preset(name: str) -> DetectorConfig:
         return DetectorConfig()
     if name == "paper":
         return DetectorConfig(
-            edges=EdgeConfig(thin=False, threshold=0.5, seed_threshold=0.5),
+            edges=EdgeConfig(thin=False, threshold=0.3, seed_threshold=0.3),
             orientation=OrientationConfig(kernel_size=9),
-            grow=GrowConfig(similarity=0.9, min_pixels=15, seed_order="raster"),
+            grow=GrowConfig(similarity=0.8, min_pixels=15, seed_order="raster"),
             fit=FitConfig(kind="paper"),
         )
     raise ConfigError(f"no preset named '{name}': use default or paper")

@@ -19,6 +19,7 @@ import torch
 from airline.errors import AirLineError, InputError
 from airline.training.dataset import Sample, list_images, load_samples, random_crop
 from airline.training.loss import edge_loss
+from airline.training.rendered import render_samples
 from airline.unet import UNet, UNetSpec
 from airline.weights import save_unet
 
@@ -138,6 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="weights file to write (.safetensors)")
     parser.add_argument("--steps", type=int, default=8000, help="training steps (default: %(default)s)")
     parser.add_argument("--views", type=int, default=7, help="random views per photograph for the labels")
+    parser.add_argument("--scenes", type=int, default=0, help="add this many rendered scenes with exact lines")
     parser.add_argument("--limit", type=int, help="use at most this many photographs")
     parser.add_argument("--cache", type=Path, help="folder of cached labels (default: beside --out)")
     parser.add_argument("--seed", type=int, default=0)
@@ -150,13 +152,19 @@ def main(arguments: list[str] | None = None) -> int:
         paths = list_images(options.images)
         np.random.default_rng(options.seed).shuffle(paths)
         cache = options.cache or options.out.with_name(options.out.stem + "-labels")
-        samples = load_samples(paths[: options.limit], options.views, cache, workers=2)
-        if not samples:
+        photographs = load_samples(paths[: options.limit], options.views, cache, workers=2)
+        if not photographs:
             raise InputError(f"none of the images in {options.images} can be read: give photographs of 64 px and more")
+        samples = photographs + render_samples(options.scenes, workers=2)
         torch.manual_seed(options.seed)
         checkpoint = options.out.with_name(options.out.stem + ".checkpoint")
         net = train(samples, UNet(UNetSpec(), norm=True), Schedule(options.steps), options.seed, checkpoint)
-        notes = {"images": str(len(samples)), "steps": str(options.steps), "seed": str(options.seed)}
+        notes = {
+            "images": str(len(photographs)),
+            "scenes": str(options.scenes),
+            "steps": str(options.steps),
+            "seed": str(options.seed),
+        }
         log.info("wrote %s  sha256 %s", options.out, save_unet(net, options.out, **notes))
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
