@@ -101,8 +101,8 @@ class McapSource:
                     yield message
                     seen, after_ns = seen + 1, message[2].log_time
                 return
-            except DAMAGE:
-                pass  # a chunk is damaged: go on behind it without the index
+            except DAMAGE as error:
+                log.debug("%s: the index does not hold (%s): going on in the order of the file", self.name, error)
         readable = read_unindexed(self._file)
         while True:
             try:

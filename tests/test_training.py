@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from airline.train import Schedule, main, make_batch, train
-from airline.training.consensus import PseudoLabels, consensus, detect_lsd
+from airline.training.consensus import PIECE, PseudoLabels, consensus, detect_lsd
 from airline.training.dataset import Sample, draw_labels, motion_kernel, random_crop
 from airline.training.loss import disk, edge_loss
+from airline.training.rendered import cut, render_sample
 from airline.unet import UNet, UNetSpec
 from airline.weights import load_unet
 
@@ -140,11 +141,35 @@ def test_command_writes_weights_that_load(tmp_path, capsys):
         cv2.imwrite(str(tmp_path / "photos" / f"{seed}.png"), picture(seed))
     (tmp_path / "photos" / "broken.jpg").write_bytes(b"no image")
     out = tmp_path / "net.safetensors"
-    command = ["--images", str(tmp_path / "photos"), "--out", str(out), "--steps", "2", "--views", "1"]
+    command = ["--images", str(tmp_path / "photos"), "--out", str(out), "--steps", "2", "--views", "1", "--scenes", "1"]
     assert main(command) == 0
     assert load_unet(out).spec == UNetSpec()
     assert main(["--images", str(tmp_path / "nowhere"), "--out", str(out)]) == 2
     assert "no images in" in capsys.readouterr().err
+
+
+def test_rendered_scenes_label_every_visible_line():
+    sample = render_sample(3)
+    delta = sample.labels.pieces[:, 1] - sample.labels.pieces[:, 0]
+    assert sample.gray.shape == (480, 640)
+    assert len(sample.labels.pieces) > 100
+    assert np.linalg.norm(delta, axis=1).max() < 2 * PIECE
+    assert (sample.labels.shares == 1).all()
+    image = cv2.GaussianBlur(sample.gray, (0, 0), 1.0)
+    gradient = cv2.magnitude(*(cv2.Sobel(image, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))))
+    x, y = np.rint(sample.labels.pieces.mean(axis=1)).astype(int).T
+    assert np.median(gradient[y, x]) > 5 * np.median(gradient), "labels lie on edges"
+
+
+def test_cutting_keeps_every_line_whole():
+    lines = np.array([[[0, 0], [30, 40]], [[5, 5], [5, 6]]], np.float32)
+    pieces = cut(lines)
+    assert len(pieces) == 6 + 1
+    assert pieces[0, 0].tolist() == [0, 0]
+    assert pieces[5, 1] == pytest.approx([30, 40], abs=1e-4)
+    assert np.abs(pieces[1:6, 0] - pieces[:5, 1]).max() < 1e-4
+    assert np.array_equal(pieces[6], lines[1])
+    assert cut(lines[:0]).shape == (0, 2, 2)
 
 
 def test_training_resumes_where_it_stopped(tmp_path):
