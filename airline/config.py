@@ -47,7 +47,6 @@ class GrowConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     similarity: Share = 0.7
     min_pixels: Annotated[int, msgspec.Meta(ge=1)] = 8
-    seed_order: Literal["raster", "straightest"] = "straightest"
 
 
 class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -83,7 +82,7 @@ def preset(name: str) -> DetectorConfig:
         return DetectorConfig(
             edges=EdgeConfig(thin=False, threshold=0.3, seed_threshold=0.3),
             orientation=OrientationConfig(kernel_size=9),
-            grow=GrowConfig(similarity=0.8, min_pixels=15, seed_order="raster"),
+            grow=GrowConfig(similarity=0.8, min_pixels=15),
             fit=FitConfig(kind="paper"),
         )
     raise ConfigError(f"no preset named '{name}': use default or paper")

@@ -121,7 +121,7 @@ def _back_end(config: DetectorConfig) -> tuple[PixelSelector, OrientationDetecto
         GradientOrientation()
         if orientation.kind == "gradient"
         else LineKernelOrientation(orientation.channels, orientation.kernel_size, orientation.subtract_mean),
-        RegionGrower(grow.similarity, grow.min_pixels, edges.seed_threshold, grow.seed_order),
+        RegionGrower(grow.similarity, grow.min_pixels, edges.seed_threshold),
         PaperFitter()
         if fit.kind == "paper"
         else TotalLeastSquaresFitter(

@@ -7,12 +7,11 @@ handed around: a text file per image, a line `x0 y0 x1 y1` per row, px, centre o
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
-from airline.errors import AirLineError, InputError
+from airline.evaluation.command import Parser, exit_code, open_dataset, track, write_json
 
 if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect
@@ -30,15 +29,7 @@ Bad light: a quarter of the light with noise; 9 px of motion blur; twice the
   that helps it most."""
 
 
-class Parser(argparse.ArgumentParser):
-    """Prints errors as one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print and exit with 2."""
-        self.exit(2, f"error: {message}; see --help\n")
-
-
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """All arguments."""
     parser = Parser(
         prog="python -m airline.evaluate",
@@ -46,29 +37,21 @@ def build_parser() -> argparse.ArgumentParser:
         epilog=LEGEND,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse) and lines_cho/ (dense)")
+    parser.add_dataset()
     parser.add_argument("--preset", default="default", help="default or paper (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument(
         "--predictions",
         type=Path,
         metavar="DIR",
         help="score the lines of another detector instead: text files like the annotation, one per image",
     )
-    parser.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    options = build_parser().parse_args(arguments)
-    try:
-        run(options)
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return exit_code(run, build_parser().parse_args(arguments))
 
 
 def run(options: argparse.Namespace) -> None:
@@ -78,31 +61,21 @@ def run(options: argparse.Namespace) -> None:
         AirLineError: an argument or file cannot be used.
     """
     from rich.console import Console
-    from rich.progress import Progress
 
     from airline.evaluation.benchmark import measure, measure_files
-    from airline.evaluation.dataset import load_dataset
     from airline.evaluation.tables import tables
 
-    if options.limit is not None and options.limit < 1:
-        raise InputError("--limit must be at least 1")
-    if options.json is not None and not options.json.parent.is_dir():
-        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
-    samples = load_dataset(options.dataset, options.limit)
-    errors = Console(stderr=True)
-    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
-        steps = progress.track(samples, description="images")
-        if options.predictions is not None:
-            name, figures = options.predictions.resolve().name, measure_files(steps, options.predictions)
-        else:
-            name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
-            figures = measure(steps, _detector(options.preset, options.weights))
+    samples = open_dataset(options)
+    if options.predictions is not None:
+        name, figures = options.predictions.resolve().name, measure_files(track(samples), options.predictions)
+    else:
+        name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
+        figures = measure(track(samples), _detector(options.preset, options.weights))
     console = Console()
     for table in tables(name, figures):
         console.print(table)
     console.print(LEGEND)
-    if options.json is not None:
-        options.json.write_text(json.dumps({"images": len(samples), **figures}, indent=2) + "\n", encoding="utf-8")
+    write_json(options.json, {"images": len(samples), **figures})
 
 
 def _detector(preset: str, weights: str | None) -> Detect:

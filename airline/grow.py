@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -25,14 +24,11 @@ class RegionGrower:
         similarity: T in [0, 1].
         min_pixels: m; regions with fewer pixels are dropped (their pixels stay used).
         seed_threshold: only pixels of at least this weight start a region.
-        seed_order: "raster" as in the paper, or "straightest": strong pixels whose descriptor is closest to a single
-            orientation first, so that regions do not start in corners, where two orientations mix.
     """
 
     similarity: float
     min_pixels: int
     seed_threshold: float = 0.0
-    seed_order: Literal["raster", "straightest"] = "raster"
 
     def __post_init__(self) -> None:
         if not 0 <= self.similarity <= 1 or self.min_pixels < 1:
@@ -46,27 +42,22 @@ class RegionGrower:
             descriptors: (M, C) float32 unit rows.
 
         Returns:
-            (M,) int32 region numbers from 0 in order of their seeds, -1 for pixels in no region.
+            (M,) int32 region numbers from 0 in raster order of their seeds, -1 for pixels in no region.
         """
-        seeds = self.seeds(edge.weights, descriptors)
-        labels: NDArray[np.int32] = _grow(edge.index, edge.pixels, descriptors, seeds, self.similarity, self.min_pixels)
+        labels: NDArray[np.int32] = _grow(
+            edge.index,
+            edge.pixels,
+            edge.weights,
+            descriptors,
+            np.float32(self.seed_threshold),
+            self.similarity,
+            self.min_pixels,
+        )
         return labels
-
-    def seeds(self, weights: NDArray[np.float32], descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Rows of the seeds in the order in which regions start."""
-        rows = np.flatnonzero(weights >= self.seed_threshold)
-        if self.seed_order == "raster" or not len(rows):
-            return rows
-        channels = descriptors.shape[1]
-        doubled = 2 * np.pi / channels * np.arange(channels)
-        basis = np.stack([np.cos(doubled), np.sin(doubled)], axis=1).astype(np.float32)
-        coherence = np.linalg.norm(descriptors[rows] @ basis, axis=1) / np.maximum(descriptors[rows].sum(axis=1), 1e-6)
-        # coarse classes and a stable sort: near-equal pixels keep raster order
-        return rows[np.argsort(-(16 * coherence * weights[rows]).astype(np.int8), kind="stable")]
 
 
 @njit(cache=True, nogil=True)
-def _grow(index, pixels, descriptors, seeds, similarity, min_pixels):  # type: ignore[no-untyped-def]
+def _grow(index, pixels, weights, descriptors, seed_threshold, similarity, min_pixels):  # type: ignore[no-untyped-def]
     height, width = index.shape
     count, channels = descriptors.shape
     labels = np.full(count, -1, np.int32)
@@ -74,8 +65,8 @@ def _grow(index, pixels, descriptors, seeds, similarity, min_pixels):  # type: i
     queue = np.empty(count, np.int32)
     total = np.zeros(channels)
     region = 0
-    for seed in seeds:
-        if used[seed]:
+    for seed in range(count):
+        if used[seed] or weights[seed] < seed_threshold:
             continue
         used[seed] = True
         queue[0] = seed

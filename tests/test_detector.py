@@ -141,7 +141,8 @@ def test_refuses_what_is_no_image(airline, image, complaint):
 
 def test_canny_is_a_second_edge_detector():
     lines = AirLine(config=DetectorConfig(edges=EdgeConfig(detector="canny")))(room())
-    assert near(lines.segments, (39.5, 49.5), (39.5, 200.5), 4.0)
+    left = lines.segments[(np.abs(lines.segments[:, :, 0] - 39.5) < 1.5).all(axis=1), :, 1]
+    assert np.abs(left[:, 1] - left[:, 0]).sum() > 0.9 * 150, "the left side, in one piece or more"
 
 
 def test_any_torch_module_is_an_edge_detector():

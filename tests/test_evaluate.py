@@ -20,7 +20,6 @@ from airline.evaluation.repeatability import clip, compare, corners, match, meas
 SHAPE = (120, 160)
 SCORE_KEYS = ["lp", "p2", "r2", "f2", "f1", "lines"]
 RUN_KEYS = [*SCORE_KEYS, "repeatability", "localisation", "ms"]
-RECTANGLES = [((40, 30, 119, 89),), ((20, 20, 69, 99), (90, 50, 139, 79))]  # per image: left, top, right, bottom
 
 
 def _line(x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64]:
@@ -29,29 +28,6 @@ def _line(x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64]:
 
 def _random_lines(seed: int, count: int = 40) -> NDArray[np.float64]:
     return np.random.default_rng(seed).uniform((0, 0), (SHAPE[1] - 1, SHAPE[0] - 1), (count, 2, 2))
-
-
-def _outline(left: int, top: int, right: int, bottom: int) -> list[tuple[float, ...]]:
-    """The edges lie between the last pixel inside and the first one outside."""
-    x0, y0, x1, y1 = left - 0.5, top - 0.5, right + 0.5, bottom + 0.5
-    return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
-
-
-@pytest.fixture
-def dataset(tmp_path: Path) -> Path:
-    """Bright rectangles on a dark ground; all edges are annotated densely, the first four sparsely."""
-    folder = tmp_path / "rectangles"
-    for part in ("images", "lines_denis", "lines_cho"):
-        (folder / part).mkdir(parents=True)
-    for number, boxes in enumerate(RECTANGLES):
-        image = np.full((*SHAPE, 3), 40, np.uint8)
-        for left, top, right, bottom in boxes:
-            image[top : bottom + 1, left : right + 1] = 100
-        cv2.imwrite(str(folder / "images" / f"{number}.png"), image)
-        rows = [" ".join(map(str, row)) + "\n" for box in boxes for row in _outline(*box)]
-        (folder / "lines_cho" / f"{number}.txt").write_text("".join(rows))
-        (folder / "lines_denis" / f"{number}.txt").write_text("".join(rows[:4]))
-    return folder
 
 
 # repeatability

@@ -1,1 +1,1 @@
-"""Parts of the evaluation command `python -m airline.evaluate`."""
+"""Parts of the commands `python -m airline.evaluate` and `python -m airline.ablate`."""

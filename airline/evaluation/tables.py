@@ -20,6 +20,16 @@ def tables(name: str, figures: Figures) -> Iterator[Table]:
         yield _bad_light(name, figures["bad_light"])
 
 
+def ablation(rows: dict[str, Figures]) -> Table:
+    """Scores, lines per image and median ms of every variant of the detector."""
+    radii = next(iter(rows.values()))["lp"]
+    table = _table("Ablation, %", *(f"LP{radius}" for radius in radii), "P2", "R2", "F2", "lines", "ms")
+    for name, figures in rows.items():
+        scores = [*figures["lp"].values(), *(figures[key] for key in ("p2", "r2", "f2"))]
+        table.add_row(name, *(f"{value:.1f}" for value in scores), f"{figures['lines']:.0f}", f"{figures['ms']:.1f}")
+    return table
+
+
 def _table(title: str, *columns: str) -> Table:
     table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for column in columns:

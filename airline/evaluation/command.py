@@ -1,0 +1,69 @@
+"""What the commands on annotated images share."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from airline.errors import AirLineError, InputError
+
+if TYPE_CHECKING:
+    from airline.evaluation.dataset import Sample
+
+
+class Parser(argparse.ArgumentParser):
+    """Prints errors as one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print and exit with 2."""
+        self.exit(2, f"error: {message}; see --help\n")
+
+    def add_dataset(self) -> None:
+        """The data set, how much of it, and where the figures go."""
+        self.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
+        self.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
+        self.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+
+
+def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Namespace) -> int:
+    """Run a command; 2 after printing an error that the user can mend, else 0."""
+    try:
+        run(options)
+    except AirLineError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def open_dataset(options: argparse.Namespace) -> list[Sample]:
+    """The samples that the arguments of `Parser.add_dataset` name; also checks where the figures go.
+
+    Raises:
+        InputError: an argument, folder or file cannot be used.
+    """
+    from airline.evaluation.dataset import load_dataset
+
+    if options.limit is not None and options.limit < 1:
+        raise InputError("--limit must be at least 1")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
+    return load_dataset(options.dataset, options.limit)
+
+
+def track(samples: list[Sample]) -> Iterable[Sample]:
+    """The samples, with a progress bar where a person looks on."""
+    from rich.console import Console
+    from rich.progress import track
+
+    errors = Console(stderr=True)
+    return track(samples, "images", console=errors, transient=True, disable=not errors.is_terminal)
+
+
+def write_json(path: Path | None, figures: dict[str, Any]) -> None:
+    """Write the figures, where that was asked for."""
+    if path is not None:
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
