@@ -8,7 +8,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from airline.evaluation.command import Parser, exit_code, open_dataset, track, write_json
+from airline.command import Parser
+from airline.evaluation.command import add_dataset, exit_code, open_dataset, track, write_json
 
 LEGEND = """\
 Every row is the default with what the row names exchanged, in good light.
@@ -19,7 +20,7 @@ T: similarity at which a pixel joins a region, 0.7 in the default. The rows that
   descriptors (the paper's table III), each at the T with its best F2 of a sweep on every second
   image of YorkUrban's training half. Mean: the mean over the channels is not taken away; of two
   channels that would leave nothing but which one is larger. The image gradient is compared with
-  its sign and grows from seeds in raster order.
+  its sign.
 Paper's line fit: its voting, with each vector's sign turned to agree with the sum. Bare least
   squares: likewise no cutting of bent regions, joining, end-point reach or minimum length.
 No thinning: every pixel of at least the threshold, described by the binary map.
@@ -37,7 +38,7 @@ def build_parser() -> Parser:
         epilog=LEGEND,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_dataset()
+    add_dataset(parser)
     return parser
 
 

@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.evaluation.command import Parser, exit_code, open_dataset, track, write_json
+from airline.command import Parser
+from airline.evaluation.command import add_dataset, exit_code, open_dataset, track, write_json
 
 if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect
@@ -37,7 +38,7 @@ def build_parser() -> Parser:
         epilog=LEGEND,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_dataset()
+    add_dataset(parser)
     parser.add_argument("--preset", default="default", help="default or paper (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
     parser.add_argument(

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import numpy as np
 
+from airline.command import Parser
 from airline.errors import ConfigError, InputError
-from airline.evaluation.command import Parser, exit_code
+from airline.evaluation.command import exit_code
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

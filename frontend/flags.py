@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from airline import __version__
-
-EXIT_USER_ERROR = 2
-
-
-class Parser(argparse.ArgumentParser):
-    """Prints errors as one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print and exit with 2."""
-        self.exit(EXIT_USER_ERROR, f"error: {message}; see --help\n")
+from airline.command import Parser
 
 
 def build_parser() -> argparse.ArgumentParser:

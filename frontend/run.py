@@ -12,8 +12,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from airline.command import EXIT_USER_ERROR
 from airline.errors import AirLineError, ConfigError, InputError
-from frontend.flags import EXIT_USER_ERROR, build_parser, settings_of
+from frontend.flags import build_parser, settings_of
 from frontend.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from airline.command import StderrHandler
+
 
 @contextmanager
 def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
@@ -41,14 +43,6 @@ def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(name, total=total)
         yield lambda: bar.advance(task)
-
-
-class StderrHandler(logging.Handler):
-    """Prints to what sys.stderr is at that time: the progress bar takes its place to keep such lines above itself."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print one record."""
-        print(self.format(record), file=sys.stderr)
 
 
 def set_up_logging(verbosity: int) -> None:

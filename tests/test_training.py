@@ -1,35 +1,28 @@
-"""Training: losses and labels against hand-computed cases, and a few real steps."""
+"""Training data: losses, labels, crops and rendered scenes against cases that one can work out."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from airline.train import Schedule, main, make_batch, train
 from airline.training.consensus import PIECE, PseudoLabels, consensus, detect_lsd
-from airline.training.dataset import Sample, draw_labels, motion_kernel, random_crop
+from airline.training.dataset import (
+    Sample,
+    draw_labels,
+    fingerprint,
+    label_image,
+    list_images,
+    load_samples,
+    motion_kernel,
+    random_crop,
+)
 from airline.training.loss import disk, edge_loss
-from airline.training.rendered import cut, render_sample
-from airline.unet import UNet, UNetSpec
-from airline.weights import load_unet
-
-SMALL = UNetSpec(base=8, levels=3)
-
-
-def picture(seed: int = 0, size: int = 160) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    image = np.full((size, size), 110, np.uint8)
-    for _ in range(6):
-        box = rng.integers(0, size, 4).reshape(2, 2)
-        cv2.rectangle(image, box[0].tolist(), box[1].tolist(), int(rng.integers(0, 255)), -1)
-    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.7) + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
-
-
-def labelled(seed: int) -> Sample:
-    gray = picture(seed)
-    return Sample(gray, consensus(gray, 2, np.random.default_rng(seed)))
+from airline.training.rendered import FIRST_SEED, HELD_OUT_SEED, cut, render_sample
+from tests.pictures import labelled, picture
 
 
 def test_loss_of_a_hand_computed_map():
@@ -117,37 +110,6 @@ def test_motion_blur_keeps_edges_in_place(length, angle):
     assert np.allclose(kernel, kernel[::-1, ::-1])
 
 
-def test_a_few_steps_lower_the_loss_and_repeat_exactly():
-    samples = [labelled(seed) for seed in range(3)]
-    schedule = Schedule(steps=60, batch=2, crop=64, warmup=2)
-    losses, weights = [], []
-    for _ in range(2):
-        torch.manual_seed(0)
-        net = UNet(SMALL, norm=True)
-        image, target, inside = make_batch(samples, schedule, (9, 9))
-        net.eval()
-        before = edge_loss(net(image), target, inside).item()
-        train(samples, net, schedule, seed=1)
-        net.eval()
-        losses.append((before, edge_loss(net(image), target, inside).item()))
-        weights.append(net.head.weight.detach().clone())
-    assert losses[0][1] < 0.85 * losses[0][0]
-    assert torch.equal(*weights), "the same seed gives the same weights"
-
-
-def test_command_writes_weights_that_load(tmp_path, capsys):
-    (tmp_path / "photos").mkdir()
-    for seed in range(3):
-        cv2.imwrite(str(tmp_path / "photos" / f"{seed}.png"), picture(seed))
-    (tmp_path / "photos" / "broken.jpg").write_bytes(b"no image")
-    out = tmp_path / "net.safetensors"
-    command = ["--images", str(tmp_path / "photos"), "--out", str(out), "--steps", "2", "--views", "1", "--scenes", "1"]
-    assert main(command) == 0
-    assert load_unet(out).spec == UNetSpec()
-    assert main(["--images", str(tmp_path / "nowhere"), "--out", str(out)]) == 2
-    assert "no images in" in capsys.readouterr().err
-
-
 def test_rendered_scenes_label_every_visible_line():
     sample = render_sample(3)
     delta = sample.labels.pieces[:, 1] - sample.labels.pieces[:, 0]
@@ -172,17 +134,41 @@ def test_cutting_keeps_every_line_whole():
     assert cut(lines[:0]).shape == (0, 2, 2)
 
 
-def test_training_resumes_where_it_stopped(tmp_path):
-    samples = [labelled(0)]
-    torch.manual_seed(0)
-    whole = train(samples, UNet(SMALL, norm=True), Schedule(4, 2, 64, warmup=1), seed=1)
-    torch.manual_seed(0)
-    checkpoint = tmp_path / "state"
-    schedule = Schedule(4, 2, 64, warmup=1)
-    part = UNet(SMALL, norm=True)
-    train(samples, part, schedule, seed=1, checkpoint=checkpoint)
-    state = torch.load(checkpoint, weights_only=True)
-    assert state["step"] == 4
-    assert all(torch.equal(value, whole.state_dict()[key]) for key, value in state["net"].items())
-    again = train(samples, UNet(SMALL, norm=True), schedule, seed=1, checkpoint=checkpoint)
-    assert torch.equal(again.head.weight, part.head.weight), "a finished run is not trained further"
+def test_held_out_scenes_are_not_trained_on():
+    from airline.train import HELD_OUT_SCENES
+
+    assert HELD_OUT_SEED + HELD_OUT_SCENES <= FIRST_SEED
+    assert not np.array_equal(render_sample(1).gray, render_sample(1, HELD_OUT_SEED).gray)
+
+
+def test_labels_are_kept_and_a_damaged_cache_is_mended(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    path, cache = tmp_path / "a.png", tmp_path / "labels"
+    cv2.imwrite(str(path), picture())
+    (sample,) = load_samples([path], 1, cache)
+    (stored,) = cache.glob("*.npz")
+    assert np.load(stored)["shares"].tolist() == sample.labels.shares.tolist()
+    whole = stored.read_bytes()
+    for damaged in (b"", b"no archive", whole[: len(whole) // 2]):
+        stored.write_bytes(damaged)
+        again = label_image(path, 1, cache)
+        assert again is not None
+        assert np.array_equal(again.labels.pieces, sample.labels.pieces)
+        assert "damaged" in caplog.text
+        caplog.clear()
+
+
+def test_only_image_files_are_listed(tmp_path: Path):
+    for name in ("b.PNG", "a.jpg", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "folder.png").mkdir()
+    assert [path.name for path in list_images(tmp_path)] == ["a.jpg", "b.PNG"]
+
+
+def test_fingerprint_tells_pixels_labels_and_order_apart():
+    first, second = labelled(0), labelled(1)
+    brighter = Sample(first.gray + 1, first.labels)
+    surer = Sample(first.gray, PseudoLabels(first.labels.pieces, first.labels.shares / 2))
+    bare = Sample(first.gray, PseudoLabels(first.labels.pieces[:0], first.labels.shares[:0]))
+    sets = [[first, second], [second, first], [first], [brighter], [surer], [bare], []]
+    assert len({fingerprint(samples) for samples in sets}) == len(sets)
+    assert fingerprint([labelled(0)]) == fingerprint([first])

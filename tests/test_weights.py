@@ -35,6 +35,12 @@ def test_round_trip_folds_the_normalisation(tmp_path):
     assert torch.allclose(loaded(image), net(image), atol=1e-4)
 
 
+def test_equal_weights_make_equal_files(tmp_path):
+    net = UNet(UNetSpec(base=8, levels=2))
+    notes = {name: name.upper() for name in "abcdefgh"}
+    assert len({save_unet(net, tmp_path / f"{i}.safetensors", **notes) for i in range(5)}) == 1
+
+
 def test_a_damaged_bundled_file_is_refused(tmp_path, monkeypatch):
     data = bytearray(bundled_path("default").read_bytes())
     data[-5] ^= 1

@@ -5,7 +5,6 @@ Needs a Vulkan driver; a software one will do (Debian: mesa-vulkan-drivers and l
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import socket
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient, ViewerState
 
+from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError, InputError
 
 POLL_S = 0.2
@@ -154,7 +154,7 @@ def _save_settled(client: ViewerClient, picture: Path) -> None:
 
 def main() -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m viz.snapshot", description="A picture of the Rerun viewer.")
+    parser = Parser(prog="python -m viz.snapshot", description="A picture of the Rerun viewer.")
     parser.add_argument("recording", type=Path, help=".rrd file")
     parser.add_argument("picture", type=Path, help=".png file to write")
     parser.add_argument("--frame", type=int, help="which frame to show (default: the last)")
@@ -170,8 +170,8 @@ def main() -> int:
             timeout_s=options.timeout,
         )
     except AirLineError as error:
-        print(error, file=sys.stderr)
-        return 2
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
     for complaint in complaints:
         print(f"the viewer reports: {complaint}", file=sys.stderr)
     return 0

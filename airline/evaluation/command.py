@@ -7,26 +7,20 @@ import json
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
+from airline.command import EXIT_USER_ERROR
 from airline.errors import AirLineError, InputError
 
 if TYPE_CHECKING:
     from airline.evaluation.dataset import Sample
 
 
-class Parser(argparse.ArgumentParser):
-    """Prints errors as one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print and exit with 2."""
-        self.exit(2, f"error: {message}; see --help\n")
-
-    def add_dataset(self) -> None:
-        """The data set, how much of it, and where the figures go."""
-        self.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
-        self.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
-        self.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+def add_dataset(parser: argparse.ArgumentParser) -> None:
+    """Arguments for the data set, how much of it, and where the figures go."""
+    parser.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
+    parser.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
 def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Namespace) -> int:
@@ -35,12 +29,12 @@ def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Names
         run(options)
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return EXIT_USER_ERROR
     return 0
 
 
 def open_dataset(options: argparse.Namespace) -> list[Sample]:
-    """The samples that the arguments of `Parser.add_dataset` name; also checks where the figures go.
+    """The samples that the arguments of `add_dataset` name; also checks where the figures go.
 
     Raises:
         InputError: an argument, folder or file cannot be used.

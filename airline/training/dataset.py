@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from concurrent.futures import ProcessPoolExecutor
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError
 from airline.training.consensus import PseudoLabels, consensus
+from airline.training.progress import in_parallel
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ def list_images(folder: Path) -> list[Path]:
     Raises:
         InputError: there are none.
     """
-    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
     if not found:
         raise InputError(f"no images in {folder}: give a folder of photographs (jpg, png, ...)")
     return found
@@ -52,10 +53,9 @@ def label_image(path: Path, views: int, cache: Path) -> Sample | None:
         return None
     digest = hashlib.sha256(data).hexdigest()
     stored = cache / f"{digest[:24]}-v{LABEL_VERSION}-{views}.npz"
-    if stored.exists():
-        with np.load(stored, allow_pickle=False) as arrays:
-            return Sample(gray, PseudoLabels(arrays["pieces"], arrays["shares"]))
-    cv2.setNumThreads(1)
+    labels = _cached_labels(stored)
+    if labels is not None:
+        return Sample(gray, labels)
     labels = consensus(gray, views, np.random.default_rng(int(digest[:12], 16)))
     partial = stored.with_name(stored.stem + ".partial.npz")
     np.savez(partial, pieces=labels.pieces, shares=labels.shares)
@@ -63,15 +63,35 @@ def label_image(path: Path, views: int, cache: Path) -> Sample | None:
     return Sample(gray, labels)
 
 
-def load_samples(paths: list[Path], views: int, cache: Path, workers: int) -> list[Sample]:
+def _cached_labels(stored: Path) -> PseudoLabels | None:
+    try:
+        with stored.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return PseudoLabels(arrays["pieces"], arrays["shares"])
+    except FileNotFoundError:
+        return None
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        log.warning("%s is damaged: its labels are made anew", stored)
+        return None
+
+
+def load_samples(paths: list[Path], views: int, cache: Path) -> list[Sample]:
     """Label photographs in parallel; unreadable ones are left out with a warning."""
     cache.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(workers) as pool:
-        found = list(pool.map(label_image, paths, [views] * len(paths), [cache] * len(paths), chunksize=8))
+    found = in_parallel(lambda path: label_image(path, views, cache), paths, "labels")
     samples = [sample for sample in found if sample is not None]
     if len(samples) < len(paths):
         log.warning("%d of %d images could not be read and were left out", len(paths) - len(samples), len(paths))
     return samples
+
+
+def fingerprint(samples: list[Sample]) -> str:
+    """What tells one set of samples from another: the start of a SHA-256 over all pixels and labels."""
+    digest = hashlib.sha256()
+    for sample in samples:
+        for array in (sample.gray, sample.labels.pieces, sample.labels.shares):
+            digest.update(repr(array.shape).encode())
+            digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()[:12]
 
 
 def draw_labels(segments: NDArray[np.float32], shares: NDArray[np.float32], size: int) -> NDArray[np.float32]:

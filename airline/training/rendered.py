@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,26 +9,27 @@ from numpy.typing import NDArray
 from airline.scenes import Sequence
 from airline.training.consensus import PIECE, PseudoLabels
 from airline.training.dataset import Sample
+from airline.training.progress import in_parallel
 
-FIRST_SEED = 1000  # scenes below are for tests, demonstrations and validation
+FIRST_SEED = 1000  # of the scenes to train on; scenes below are for tests, demonstrations and validation
+HELD_OUT_SEED = 900
 FRAMES = 300
 
 
-def render_sample(number: int) -> Sample:
+def render_sample(number: int, first_seed: int = FIRST_SEED) -> Sample:
     """One clean view of a scene of its own; every visible line has share 1."""
     rng = np.random.default_rng(number)
     kind = ("indoor", "street")[number % 2]
-    sequence = Sequence(kind=kind, motion="slow", seed=FIRST_SEED + number, frames=FRAMES, effects=None)
+    sequence = Sequence(kind=kind, motion="slow", seed=first_seed + number, frames=FRAMES, effects=None)
     view = sequence.render(int(rng.integers(0, FRAMES)))
     pieces = cut(view.segments_px)
     gray: NDArray[np.uint8] = cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY)
     return Sample(gray, PseudoLabels(pieces, np.ones(len(pieces), np.float32)))
 
 
-def render_samples(count: int, workers: int) -> list[Sample]:
+def render_samples(count: int, first_seed: int = FIRST_SEED) -> list[Sample]:
     """Views of `count` different scenes, indoors and streets in turn."""
-    with ProcessPoolExecutor(workers) as pool:
-        return list(pool.map(render_sample, range(count), chunksize=4))
+    return in_parallel(lambda number: render_sample(number, first_seed), range(count), "scenes")
 
 
 def cut(segments: NDArray[np.float32]) -> NDArray[np.float32]:

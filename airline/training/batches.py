@@ -1,0 +1,56 @@
+"""Batches of augmented crops, made ahead of the network."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+
+from airline.training.dataset import Sample, random_crop
+from airline.training.schedule import Schedule
+
+Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def normalise(images: torch.Tensor) -> torch.Tensor:
+    """Zero mean and unit variance per image, (B, 1, H, W); a flat image becomes zeros."""
+    std, mean = torch.std_mean(images, dim=(1, 2, 3), keepdim=True, correction=0)
+    return (images - mean) / std.clamp(min=1.0)
+
+
+def make_batch(samples: list[Sample], schedule: Schedule, seed: tuple[int, ...]) -> Batch:
+    """One batch of augmented crops, a function of the seed alone.
+
+    Returns:
+        (B, 1, H, W) normalised float images, float soft edge maps, and bool masks of the pixels inside the photographs.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(0, len(samples), schedule.batch)
+    images, targets, inside = zip(*(random_crop(samples[i], schedule.crop, rng) for i in chosen), strict=True)
+    return (
+        normalise(torch.from_numpy(np.stack(images)[:, None]).float()),
+        torch.from_numpy(np.stack(targets)[:, None]),
+        torch.from_numpy(np.stack(inside)[:, None]),
+    )
+
+
+def batches(
+    samples: list[Sample], schedule: Schedule, seed: int, first: int, workers: int = 1
+) -> Generator[Batch, None, None]:
+    """Batches from step `first` on, without end; `workers` threads make them ahead, and their number changes nothing.
+
+    Threads do: nearly all the time is spent in OpenCV, NumPy and compiled code that let other threads run.
+    """
+    with ThreadPoolExecutor(workers) as pool:
+        ahead = deque(pool.submit(make_batch, samples, schedule, (seed, first + k)) for k in range(2 * workers + 1))
+        try:
+            for step in itertools.count(first + len(ahead)):
+                yield ahead.popleft().result()
+                ahead.append(pool.submit(make_batch, samples, schedule, (seed, step)))
+        finally:
+            for batch in ahead:
+                batch.cancel()

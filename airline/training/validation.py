@@ -1,0 +1,159 @@
+"""How good a network is while it trains: loss and line scores on samples held out, and pictures of a few of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from airline.detector import AirLine
+from airline.edges import ModuleEdges
+from airline.errors import InputError
+from airline.metrics import mean, score
+from airline.training.batches import Batch, make_batch, normalise
+from airline.training.dataset import Sample, draw_labels
+from airline.training.schedule import Schedule
+from airline.unet import UNet
+
+MAX_PHOTOGRAPHS = 60
+TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
+BATCHES = 4  # of fixed crops, for the loss
+PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
+
+Loss = Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]  # logits, target, inside
+
+
+@dataclass(frozen=True)
+class Score:
+    """Scores on one kind of held-out samples.
+
+    Attributes:
+        loss: mean over fixed augmented crops.
+        p2: precision at 2 px of the detector's lines against the labels, percent.
+        r2: recall likewise.
+        f2: F-score of the two.
+    """
+
+    loss: float
+    p2: float
+    r2: float
+    f2: float
+
+    def __str__(self) -> str:
+        return f"loss {self.loss:.4f}, F {self.f2:.1f} (P {self.p2:.1f}, R {self.r2:.1f})"
+
+
+def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
+    """Held-out photographs, one in twenty and at most 60, and the others; a single photograph is in both."""
+    count = min(MAX_PHOTOGRAPHS, max(1, len(photographs) // 20))
+    return photographs[:count], photographs[count:] or photographs
+
+
+class NormalisedUNet(nn.Module):
+    """A network with the preparation of its input, for `ModuleEdges`: grey levels in, logits out."""
+
+    def __init__(self, net: UNet) -> None:
+        """Wrap a network in evaluation mode."""
+        super().__init__()
+        self.net = net
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """(B, 1, H, W) grey levels to (B, 1, H, W) logits."""
+        height, width = image.shape[2:]
+        stride = self.net.spec.stride
+        padded = nn.functional.pad(normalise(image), (0, -width % stride, 0, -height % stride), mode="replicate")
+        logits: torch.Tensor = self.net(padded.contiguous(memory_format=torch.channels_last))
+        return logits[..., :height, :width]
+
+
+class Validation:
+    """Measures networks on the same held-out samples, always in the same way."""
+
+    def __init__(self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, loss: Loss) -> None:
+        """Keep the samples, and make the crops on which the loss is measured."""
+        self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
+        self._loss = loss
+        self._crops: dict[str, list[Batch]] = {
+            kind: [make_batch(samples, schedule, (12345, k)) for k in range(BATCHES)]
+            for kind, samples in self._kinds.items()
+        }
+
+    def measure(self, net: UNet, device: torch.device) -> dict[str, Score]:
+        """Scores by kind of sample; the network is as before afterwards."""
+        plain = _folded(net, device)
+        detector = _detector(plain)
+        return {
+            kind: Score(self._mean_loss(plain, self._crops[kind], device), *_line_scores(detector, samples))
+            for kind, samples in self._kinds.items()
+        }
+
+    def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
+        """A picture of three photographs and a scene (four photographs where there are no scenes).
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
+        few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
+        detector = _detector(_folded(net, device))
+        if not cv2.imwrite(str(path), np.concatenate([sheet_row(sample, detector) for sample in few])):
+            raise InputError(f"cannot write {path}: make room, or give an --out elsewhere")
+
+    @torch.inference_mode()
+    def _mean_loss(self, net: UNet, crops: list[Batch], device: torch.device) -> float:
+        losses = []
+        for batch in crops:
+            image, target, inside = (part.to(device) for part in batch)
+            logits = net(image.contiguous(memory_format=torch.channels_last))
+            losses.append(self._loss(logits, target, inside).item())
+        return float(np.mean(losses))
+
+
+def sheet_row(sample: Sample, detector: AirLine) -> NDArray[np.uint8]:
+    """One row of a sheet, BGR: the image, its labels, the edges found and the lines found."""
+    height, width = sample.gray.shape
+    trace = detector.trace(sample.gray)
+    labels = draw_labels(sample.labels.pieces, sample.labels.shares, max(height, width))[:height, :width]
+    scale = min(PANEL[0] / width, PANEL[1] / height)
+    dim = _panel(sample.gray // 2, scale)
+    points = np.rint(((trace.lines.segments + 0.5) * scale - 0.5) * 16).astype(int)
+    for start, end in points.tolist():
+        cv2.line(dim, start, end, (80, 220, 255), 1, cv2.LINE_AA, 4)
+    maps = [_panel((255 * values).astype(np.uint8), scale) for values in (labels, trace.edges)]
+    return np.concatenate([_panel(sample.gray, scale), *maps, dim], axis=1)
+
+
+def _panel(gray: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """A grey image at the left of a BGR panel with a rim; all panels are equally wide."""
+    width, height = (max(1, round(side * scale)) for side in gray.shape[::-1])
+    panel = np.full((height + 4, PANEL[0] + 4, 3), 40, np.uint8)
+    panel[:height, :width] = cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA)[:, :, None]
+    return panel
+
+
+def _folded(net: UNet, device: torch.device) -> UNet:
+    training = net.training
+    plain = net.folded().to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    net.train(training)  # folding looks at batch normalisation in evaluation mode
+    assert isinstance(plain, UNet)
+    return plain
+
+
+def _detector(plain: UNet) -> AirLine:
+    return AirLine(edges=ModuleEdges(NormalisedUNet(plain), scale=1.0))
+
+
+def _line_scores(detector: AirLine, samples: list[Sample]) -> tuple[float, float, float]:
+    """P, R and F at 2 px of the detected lines against the trusted pieces, percent."""
+    scores = []
+    for sample in samples:
+        trusted = sample.labels.pieces[sample.labels.shares >= TRUSTED]
+        scores.append(score(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
+    overall = mean(scores)
+    return overall.p2, overall.r2, overall.f2
