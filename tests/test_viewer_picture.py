@@ -71,7 +71,7 @@ def test_viewer_shows_the_tracks_and_has_no_complaints(recording, tmp_path):
 def test_frame_that_does_not_exist(recording, tmp_path):
     outcome = snapshot(recording, tmp_path / "picture.png", "--frame", 99)
     assert outcome.returncode == 2
-    assert outcome.stderr.strip() == "there is no frame 99: choose one from 0 to 9"
+    assert outcome.stderr.strip() == "error: there is no frame 99: choose one from 0 to 9"
 
 
 @needs_viewer
