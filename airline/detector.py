@@ -7,7 +7,8 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from airline.config import DetectorConfig, preset
+from airline.config import DetectorConfig
+from airline.config import preset as settings_of
 from airline.edges import CannyEdges, Device, EdgeDetector, UNetEdges
 from airline.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
 from airline.grow import RegionGrower
@@ -60,7 +61,7 @@ class AirLine:
             ConfigError: a setting is unknown or out of range.
             WeightsError: the weights cannot be used.
         """
-        settings = _preset(preset) if config is None else config
+        settings = settings_of(preset) if config is None else config
         self.edges = edges if edges is not None else _edges(settings, device)
         self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings)
 
@@ -105,9 +106,6 @@ class AirLine:
         return Trace(
             edges, selected.pixels, selected.positions, descriptors, labels, lines, {"edges": edges_ms, **spent}
         )
-
-
-_preset = preset
 
 
 def _edges(config: DetectorConfig, device: Device) -> EdgeDetector:

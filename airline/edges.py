@@ -60,16 +60,11 @@ class UNetEdges:
             image = torch.from_numpy(gray.astype(np.float32))[None, None].to(self.device)
             std, mean = torch.std_mean(image, correction=0)
             image = (image - mean) / std.clamp(min=1.0)
-            padded = self._pad(image, -height % self._stride, -width % self._stride)
+            bottom, right = -height % self._stride, -width % self._stride
+            padded = torch.nn.functional.pad(image, (0, right, 0, bottom), mode="replicate")
             logits = self._net(padded.contiguous(memory_format=torch.channels_last))[0, 0, :height, :width]
             edges: NDArray[np.float32] = torch.sigmoid(logits).contiguous().cpu().numpy()
         return edges
-
-    @staticmethod
-    def _pad(image: torch.Tensor, bottom: int, right: int) -> torch.Tensor:
-        import torch
-
-        return torch.nn.functional.pad(image, (0, right, 0, bottom), mode="replicate") if bottom or right else image
 
 
 class CannyEdges:
