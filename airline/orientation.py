@@ -93,21 +93,21 @@ class GradientOrientation:
 def _correlate(padded, pixels, taps, subtract_mean):  # type: ignore[no-untyped-def]
     channels, length = taps.shape[0], taps.shape[1]
     out = np.empty((len(pixels), channels), np.float32)
+    answer = np.empty(channels)  # double precision: little may be left when the mean is taken away
     for k in range(len(pixels)):
         x, y = pixels[k, 0], pixels[k, 1]
         mean = 0.0
         for n in range(channels):
-            total = 0.0
+            answer[n] = 0
             for i in range(length):
-                total += padded[y + taps[n, i, 0], x + taps[n, i, 1]]
-            out[k, n] = total
-            mean += total
-        mean = mean / channels if subtract_mean else 0.0
+                answer[n] += padded[y + taps[n, i, 0], x + taps[n, i, 1]]
+            mean += answer[n] / channels
         squared = 0.0
         for n in range(channels):
-            out[k, n] -= mean
-            squared += out[k, n] * out[k, n]
+            if subtract_mean:
+                answer[n] -= mean
+            squared += answer[n] * answer[n]
         norm = max(np.sqrt(squared), 1e-12)
         for n in range(channels):
-            out[k, n] /= norm
+            out[k, n] = answer[n] / norm
     return out
