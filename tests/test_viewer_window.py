@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import command
-from viz.viewer import open_viewer
+from viz.viewer import environment, open_viewer
 
 NO_SCREEN = ":4077"
 
@@ -37,6 +38,13 @@ def viewers(port: int) -> list[int]:
         except OSError:  # it ended meanwhile
             continue
     return found
+
+
+def listening(port: int) -> set[str]:
+    """The addresses, as the kernel writes them, on which something listens at a port."""
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    local = [row[1].split(":") for row in rows if row[3] == "0A"]
+    return {address for address, number in local if int(number, 16) == port}
 
 
 def test_a_dead_display_opens_nothing(monkeypatch):
@@ -70,6 +78,7 @@ def test_a_window_opens_and_is_used_again(monkeypatch):
             time.sleep(0.05)
         address = f"127.0.0.1:{port}"
         assert open_viewer(port) == address
+        assert listening(port) == {"0100007F"}, "other machines must not reach the viewer"
         running = viewers(port)
         assert len(running) >= 1
         assert open_viewer(port) == address
@@ -79,6 +88,25 @@ def test_a_window_opens_and_is_used_again(monkeypatch):
             os.kill(process, signal.SIGKILL)
         screen.terminate()
         screen.wait()
+
+
+def test_the_viewer_reports_to_nobody():
+    program = Path(sys.executable).parent / "rerun"
+    if not program.exists():
+        pytest.skip("Rerun's viewer is not installed beside this Python")
+    command = [program, "--headless", "--bind", "127.0.0.1", "--port", str(free_port())]
+    loud = {**environment(), "RUST_LOG": "re_analytics=debug"}
+    with subprocess.Popen(
+        command, env=loud, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+    ) as viewer:
+        stop = threading.Timer(30, os.killpg, [viewer.pid, signal.SIGKILL])
+        stop.start()
+        try:
+            said = next((line for line in viewer.stdout if b"nalytics" in line), b"nothing")
+        finally:
+            stop.cancel()
+            os.killpg(viewer.pid, signal.SIGKILL)
+    assert b"Analytics disabled" in said
 
 
 def test_without_the_viewer_program_nothing_opens(monkeypatch, tmp_path):

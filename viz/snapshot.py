@@ -21,6 +21,7 @@ from rerun.experimental import ViewerClient, ViewerState
 
 from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError, InputError
+from viz.viewer import environment
 
 POLL_S = 0.2
 
@@ -65,14 +66,14 @@ def save_picture(
 def _headless_viewer(recording: Path, size: tuple[int, int], timeout_s: float) -> Iterator[ViewerClient]:
     """A viewer that shows the recording; it is gone when the block ends, or, at the latest, after the timeout."""
     port = _free_port()
-    command = [str(Path(sys.executable).parent / "rerun"), "--headless", "--port", str(port)]
+    command = [str(Path(sys.executable).parent / "rerun"), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--window-size", f"{size[0]}x{size[1]}", str(recording)]
     with tempfile.TemporaryFile() as output:
         viewer = subprocess.Popen(
             command,
             stdout=output,
             stderr=subprocess.STDOUT,
-            env={**os.environ, "RUST_LOG": "error"},
+            env={**environment(), "RUST_LOG": "error"},
             start_new_session=True,  # `rerun` is a launcher: its child, the viewer itself, has to end with it
         )
         watchdog = threading.Timer(timeout_s, _stop, [viewer])
