@@ -14,6 +14,8 @@ from airline.image import Gray, to_uint8
 if TYPE_CHECKING:
     import torch
 
+    from airline.unet import UNet
+
 Device = Literal["auto", "cpu", "cuda"]
 
 
@@ -28,11 +30,11 @@ class EdgeDetector(Protocol):
 class UNetEdges:
     """The learned edge detector: a U-Net with weights from a safetensors file."""
 
-    def __init__(self, weights: str | Path = "default", device: Device = "auto") -> None:
+    def __init__(self, weights: str | Path | UNet = "default", device: Device = "auto") -> None:
         """Load the network.
 
         Args:
-            weights: name of bundled weights or path of a file written by `airline.train`.
+            weights: name of bundled weights, path of a file written by `airline.train`, or a network itself.
             device: "cuda", "cpu", or "auto" for CUDA where there is one.
 
         Raises:
@@ -41,29 +43,23 @@ class UNetEdges:
         """
         import torch
 
+        from airline.unet import UNet
         from airline.weights import load_unet
 
         if device == "cuda" and not torch.cuda.is_available():
             raise ConfigError("no CUDA device is available: use --device cpu or auto")
         cuda = device == "cuda" or (device == "auto" and torch.cuda.is_available())
         self.device = torch.device("cuda" if cuda else "cpu")
-        net = load_unet(weights)
-        self._stride = net.spec.stride
-        self._net = net.to(self.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        net = weights if isinstance(weights, UNet) else load_unet(weights)
+        self._net: UNet = net.to(self.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
         """Edge probability; the image is normalised to zero mean and unit variance, so its range does not matter."""
         import torch
 
-        height, width = gray.shape
         with torch.inference_mode():
             image = torch.from_numpy(gray.astype(np.float32))[None, None].to(self.device)
-            std, mean = torch.std_mean(image, correction=0)
-            image = (image - mean) / std.clamp(min=1.0)
-            bottom, right = -height % self._stride, -width % self._stride
-            padded = torch.nn.functional.pad(image, (0, right, 0, bottom), mode="replicate")
-            logits = self._net(padded.contiguous(memory_format=torch.channels_last))[0, 0, :height, :width]
-            edges: NDArray[np.float32] = torch.sigmoid(logits).contiguous().cpu().numpy()
+            edges: NDArray[np.float32] = torch.sigmoid(self._net.answer(image)[0, 0]).contiguous().cpu().numpy()
         return edges
 
 

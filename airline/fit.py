@@ -56,8 +56,8 @@ class TotalLeastSquaresFitter:
     """
 
     min_length: float = 10.0
-    max_deviation: float = 1.5
-    max_gap: float = 4.0
+    max_deviation: float = 2.0
+    max_gap: float = 8.0
     max_offset: float = 1.0
     max_angle: float = 5.0
     max_reach: float = 8.0

@@ -57,8 +57,8 @@ class LineKernelOrientation:
     """
 
     channels: int = 6
-    kernel_size: int = 9
-    subtract_mean: bool = False
+    kernel_size: int = 5
+    subtract_mean: bool = True
     _taps: NDArray[np.int32] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -70,7 +70,7 @@ class RidgePixels:
     """
 
     threshold: float
-    smoothing: int = 5
+    smoothing: int = 3
 
     def __post_init__(self) -> None:
         if self.smoothing < 1 or self.smoothing % 2 == 0:

@@ -89,6 +89,21 @@ class UNet(nn.Module):
             x = self.up[level](x + skips[level])
         return nn.functional.pixel_shuffle(self.head(x), self.spec.unshuffle)
 
+    def answer(self, gray: torch.Tensor) -> torch.Tensor:
+        """Edge logits of grey images as they are: any range, any size.
+
+        Args:
+            gray: (B, 1, H, W) float grey levels.
+
+        Returns:
+            (B, 1, H, W) logits.
+        """
+        height, width = gray.shape[2:]
+        beyond = (0, -width % self.spec.stride, 0, -height % self.spec.stride)
+        padded = nn.functional.pad(normalise(gray), beyond, mode="replicate")
+        logits: torch.Tensor = self(padded.contiguous(memory_format=torch.channels_last))
+        return logits[..., :height, :width]
+
     def folded(self) -> UNet:
         """A copy for inference, with batch normalisation folded into the convolutions."""
         plain = UNet(self.spec)
@@ -105,6 +120,12 @@ class UNet(nn.Module):
 
     def _blocks(self) -> list[nn.Sequential]:
         return [block for group in (self.down, self.up) for block in group if isinstance(block, nn.Sequential)]
+
+
+def normalise(images: torch.Tensor) -> torch.Tensor:
+    """Zero mean and unit variance per image, (B, 1, H, W); a flat image becomes zeros."""
+    std, mean = torch.std_mean(images, dim=(1, 2, 3), keepdim=True, correction=0)
+    return (images - mean) / std.clamp(min=1.0)
 
 
 def _block(inputs: int, outputs: int, convs: int, norm: bool) -> nn.Sequential:

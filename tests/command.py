@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,3 +70,22 @@ def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
                 {name: [rows[k] for k in order] for name, rows in columns.items() if len(rows) == len(order)}
             )
     return entities
+
+
+def read_screen(control: int, watch: Callable[[bytes], None] = lambda screen: None) -> str:
+    """All that is written to a pseudo-terminal until nobody holds it, without control codes; closes `control`.
+
+    `watch` is called with the raw screen so far after every part.
+    """
+    screen = b""
+    while True:
+        try:
+            part = os.read(control, 4096)
+        except OSError:  # how Linux says that nobody holds the terminal any more
+            break
+        if not part:
+            break
+        screen += part
+        watch(screen)
+    os.close(control)
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())

@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 
 from airline import AirLine, CannyEdges, ConfigError, DetectorConfig, InputError, ModuleEdges
 from airline.config import EdgeConfig, GrowConfig, OrientationConfig
+from airline.fit import TotalLeastSquaresFitter
 from airline.image import to_uint8
+from airline.orientation import LineKernelOrientation
+from airline.pixels import RidgePixels
 
 
 @pytest.fixture(scope="module")
@@ -162,6 +165,13 @@ def test_variants_of_the_ablation_run():
     ):
         lines = AirLine(config=DetectorConfig(orientation=orientation, grow=GrowConfig(similarity=0.9)))(room())
         assert len(lines) > 4
+
+
+def test_stages_on_their_own_begin_as_the_default_preset():
+    detector = AirLine(edges=CannyEdges())
+    assert detector.fitter == TotalLeastSquaresFitter()
+    assert detector.orientation == LineKernelOrientation()
+    assert detector.pixels == RidgePixels(DetectorConfig().edges.threshold)
 
 
 def test_unknown_preset_is_named():

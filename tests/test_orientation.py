@@ -58,7 +58,7 @@ def test_a_line_answers_strongest_in_its_own_channel():
     for n in range(6):
         edges = np.pad(line_kernels(6, 9)[n], 8)
         middle = np.array([[12, 12]], np.int32)
-        descriptor = LineKernelOrientation().describe(edges, np.zeros(edges.shape, np.uint8), middle)[0]
+        descriptor = LineKernelOrientation(6, 9).describe(edges, np.zeros(edges.shape, np.uint8), middle)[0]
         assert descriptor.argmax() == n
         assert np.linalg.norm(descriptor) == pytest.approx(1, abs=1e-6)
 

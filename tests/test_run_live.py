@@ -20,7 +20,7 @@ from airline.errors import InputError
 from frontend.frame import Frame
 from frontend.run import process
 from frontend.settings import RunConfig
-from tests.command import EVERY_FRAME, python, recorded
+from tests.command import EVERY_FRAME, python, read_screen, recorded
 from viz.rerun_sink import RerunSink
 
 CLIP_FRAMES = 8
@@ -38,21 +38,11 @@ def test_progress_bar_shows_in_a_terminal(clip: Path, tmp_path: Path) -> None:
     control, terminal = pty.openpty()
     child = python(folder, "--save", tmp_path / "run.rrd", stdout=subprocess.PIPE, stderr=terminal)
     os.close(terminal)
-    screen = b""
     with child:
-        while True:
-            try:
-                part = os.read(control, 4096)
-            except OSError:  # how Linux says that nobody holds the terminal any more
-                break
-            if not part:
-                break
-            screen += part
+        text = read_screen(control)
         out = child.communicate()[0]
-    os.close(control)
     assert child.returncode == 0
     assert "39 (1 skipped)" in out
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())
     assert re.search(r"room \[red\] .* 39/40 +\d+\.\d frames/s", text)
     (warning,) = (line for line in re.split(r"[\r\n]+", text) if "skipped" in line)
     assert warning.startswith("WARNING: ")  # on a line of its own, not behind the bar

@@ -19,7 +19,7 @@ from airline.train import main
 from airline.training.validation import Validation
 from airline.unet import SPECS
 from airline.weights import load_unet
-from tests.command import ROOT
+from tests.command import ROOT, read_screen
 from tests.pictures import picture
 
 
@@ -161,21 +161,15 @@ def test_a_terminal_shows_a_bar_and_ctrl_c_stops_it(photographs, tmp_path):
     control, terminal = pty.openpty()
     child = subprocess.Popen([sys.executable, "-c", start, *given], env=environment, stderr=terminal)
     os.close(terminal)
-    screen, asked = b"", False
+    asked = []
+
+    def interrupt_once(screen: bytes) -> None:
+        if not asked and b"steps/s" in screen:
+            asked.append(True)
+            child.send_signal(signal.SIGINT)
+
     with child:
-        while True:
-            try:
-                part = os.read(control, 4096)
-            except OSError:  # how Linux says that nobody holds the terminal any more
-                break
-            if not part:
-                break
-            screen += part
-            if not asked and b"steps/s" in screen:
-                asked = True
-                child.send_signal(signal.SIGINT)
-    os.close(control)
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())
+        text = read_screen(control, interrupt_once)
     assert child.returncode == 130, text
     assert re.search(r"step \d+/100000  \d+\.\d steps/s  loss \d\.\d{4}", text)
     assert re.search(r"[\r\n]stopped at step \d+: the same command goes on from", text)

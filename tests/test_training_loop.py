@@ -17,7 +17,7 @@ from airline.training.dataset import Sample
 from airline.training.loop import State, find_device, train
 from airline.training.loss import edge_loss
 from airline.training.schedule import Schedule
-from airline.training.validation import NormalisedUNet, Validation, split
+from airline.training.validation import Validation, split
 from airline.unet import SPECS, UNet, UNetSpec
 from airline.weights import load_unet, save_unet
 from tests.pictures import labelled, picture
@@ -215,7 +215,7 @@ def test_the_network_is_measured_as_it_will_be_used(tmp_path):
     state = fresh()
     save_unet(state.net, tmp_path / "net.safetensors")
     gray = picture(3, 151, 97)  # no multiple of the stride
-    logits = NormalisedUNet(state.net.folded())(torch.from_numpy(gray[None, None].astype(np.float32)))
+    logits = state.net.folded().answer(torch.from_numpy(gray[None, None].astype(np.float32)))
     used = UNetEdges(tmp_path / "net.safetensors", "cpu").detect(gray)
     assert np.abs(torch.sigmoid(logits)[0, 0].detach().numpy() - used).max() < 1e-5
 

@@ -12,14 +12,9 @@ import torch
 
 from airline.training.dataset import Sample, random_crop
 from airline.training.schedule import Schedule
+from airline.unet import normalise
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-
-
-def normalise(images: torch.Tensor) -> torch.Tensor:
-    """Zero mean and unit variance per image, (B, 1, H, W); a flat image becomes zeros."""
-    std, mean = torch.std_mean(images, dim=(1, 2, 3), keepdim=True, correction=0)
-    return (images - mean) / std.clamp(min=1.0)
 
 
 def make_batch(samples: list[Sample], schedule: Schedule, seed: tuple[int, ...]) -> Batch:

@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from airline.detector import AirLine
-from airline.edges import ModuleEdges
+from airline.edges import UNetEdges
 from airline.errors import InputError
 from airline.metrics import mean, score
-from airline.training.batches import Batch, make_batch, normalise
+from airline.training.batches import Batch, make_batch
 from airline.training.dataset import Sample, draw_labels
 from airline.training.schedule import Schedule
 from airline.unet import UNet
@@ -53,23 +52,6 @@ def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
     """Held-out photographs, one in twenty and at most 60, and the others; a single photograph is in both."""
     count = min(MAX_PHOTOGRAPHS, max(1, len(photographs) // 20))
     return photographs[:count], photographs[count:] or photographs
-
-
-class NormalisedUNet(nn.Module):
-    """A network with the preparation of its input, for `ModuleEdges`: grey levels in, logits out."""
-
-    def __init__(self, net: UNet) -> None:
-        """Wrap a network in evaluation mode."""
-        super().__init__()
-        self.net = net
-
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """(B, 1, H, W) grey levels to (B, 1, H, W) logits."""
-        height, width = image.shape[2:]
-        stride = self.net.spec.stride
-        padded = nn.functional.pad(normalise(image), (0, -width % stride, 0, -height % stride), mode="replicate")
-        logits: torch.Tensor = self.net(padded.contiguous(memory_format=torch.channels_last))
-        return logits[..., :height, :width]
 
 
 class Validation:
@@ -146,7 +128,7 @@ def _folded(net: UNet, device: torch.device) -> UNet:
 
 
 def _detector(plain: UNet) -> AirLine:
-    return AirLine(edges=ModuleEdges(NormalisedUNet(plain), scale=1.0))
+    return AirLine(edges=UNetEdges(plain, "cuda" if plain.head.weight.is_cuda else "cpu"))
 
 
 def _line_scores(detector: AirLine, samples: list[Sample]) -> tuple[float, float, float]:
