@@ -10,7 +10,6 @@ import logging
 import math
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -21,7 +20,7 @@ from airline.command import EXIT_USER_ERROR, Parser, StderrHandler
 from airline.errors import AirLineError, InputError
 from airline.training.dataset import Sample, fingerprint, list_images, load_samples
 from airline.training.loop import State, find_device
-from airline.training.loss import edge_loss
+from airline.training.loss import PixelWeights
 from airline.training.rendered import HELD_OUT_SEED, render_samples
 from airline.training.schedule import Schedule
 from airline.training.session import Session
@@ -111,10 +110,10 @@ def run(options: argparse.Namespace) -> bool:
     held_out, rest = split(photographs)
     steps = DEFAULT_STEPS if options.steps is None and options.minutes is None else options.steps
     schedule = Schedule(steps, options.minutes)
-    loss = partial(edge_loss, weight=options.loss_weight, radius=options.loss_radius)
+    weigh = PixelWeights(options.loss_weight, options.loss_radius)
     session = Session(
         schedule=schedule,
-        validation=Validation(held_out, held_out_scenes, schedule, loss),
+        validation=Validation(held_out, held_out_scenes, schedule, weigh),
         validate_every=options.validate_every,
         settings={
             "--images": f"{len(photographs)} photographs ({fingerprint(photographs)})",
@@ -128,7 +127,7 @@ def run(options: argparse.Namespace) -> bool:
     log.info("held out: %d photographs, %d scenes; pictures in %s", len(held_out), len(held_out_scenes), session.sheets)
     torch.manual_seed(options.seed)
     state = State(UNet(SPECS[options.model], norm=True), device)
-    if not session.run(state, rest + scenes, options.seed, loss):
+    if not session.run(state, rest + scenes, options.seed, weigh):
         return False
     counts = {"images": len(photographs), "scenes": len(scenes), "steps": state.step, "seed": options.seed}
     digest = save_unet(

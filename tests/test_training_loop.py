@@ -15,7 +15,7 @@ from airline.training import checkpoint
 from airline.training.batches import batches, make_batch
 from airline.training.dataset import Sample
 from airline.training.loop import State, find_device, train
-from airline.training.loss import edge_loss
+from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
 from airline.training.validation import Validation, split
 from airline.unet import SPECS, UNet, UNetSpec
@@ -24,6 +24,7 @@ from tests.pictures import labelled, picture
 
 SMALL = UNetSpec(base=8, levels=3)
 SETTINGS = {"--steps": 6, "--minutes": None, "--seed": 0}
+WEIGH = PixelWeights()
 CPU = torch.device("cpu")
 
 
@@ -40,7 +41,7 @@ def fresh(seed: int = 0, spec: UNetSpec = SMALL) -> State:
 def run(
     state: State, samples: list[Sample], steps: int, after: Callable[[float], bool] = lambda loss: False, seed: int = 1
 ) -> State:
-    train(state, samples, Schedule(steps, batch=2, crop=64, warmup=2), seed, edge_loss, after)
+    train(state, samples, Schedule(steps, batch=2, crop=64, warmup=2), seed, WEIGH, after)
     return state
 
 
@@ -52,11 +53,11 @@ def same(a: State, b: State) -> bool:
 
 
 def test_a_few_steps_lower_the_loss_and_repeat_exactly(samples):
-    image, target, inside = make_batch(samples, Schedule(60, batch=2, crop=64), (9, 9))
-    before = edge_loss(fresh().net.eval()(image), target, inside).item()
+    image, target, weights = make_batch(samples, Schedule(60, batch=2, crop=64), WEIGH, (9, 9))
+    before = edge_loss(fresh().net.eval()(image), target, weights).item()
     first, second = run(fresh(), samples, 60), run(fresh(), samples, 60)
     assert same(first, second), "the same seed gives the same weights"
-    assert edge_loss(first.net.eval()(image), target, inside).item() < 0.85 * before
+    assert edge_loss(first.net.eval()(image), target, weights).item() < 0.85 * before
     assert not same(run(fresh(), samples, 3, seed=1), run(fresh(), samples, 3, seed=2))
 
 
@@ -78,9 +79,9 @@ def test_a_stopped_training_goes_on_as_if_nothing_had_happened(samples, tmp_path
 def test_threads_that_make_batches_change_nothing(samples):
     schedule = Schedule(1, batch=2, crop=64)
     for first in (0, 5):
-        one, four = (batches(samples, schedule, 3, first, workers) for workers in (1, 4))
+        one, four = (batches(samples, schedule, WEIGH, 3, first, workers) for workers in (1, 4))
         for step in range(first, first + 6):
-            expected = make_batch(samples, schedule, (3, step))
+            expected = make_batch(samples, schedule, WEIGH, (3, step))
             for made in (next(one), next(four)):
                 assert all(torch.equal(a, b) for a, b in zip(made, expected, strict=True))
         one.close()
@@ -107,14 +108,14 @@ def test_learning_rate_follows_the_steps_or_the_clock():
 def test_the_clock_ends_a_training_and_goes_on_where_it_was(samples):
     schedule = Schedule(minutes=0.3 / 60, batch=2, crop=64)
     state = fresh()
-    train(state, samples, schedule, 0, edge_loss, lambda loss: state.step == 1)
+    train(state, samples, schedule, 0, WEIGH, lambda loss: state.step == 1)
     before = state.seconds
     assert 0 < before < 0.3
-    train(state, samples, schedule, 0, edge_loss)
+    train(state, samples, schedule, 0, WEIGH)
     assert state.step > 1
     assert 0.3 <= state.seconds < 3
     steps = state.step
-    train(state, samples, schedule, 0, edge_loss)
+    train(state, samples, schedule, 0, WEIGH)
     assert state.step == steps, "the time is up"
 
 
@@ -163,11 +164,8 @@ def test_a_damaged_checkpoint_is_a_clear_error(samples, tmp_path):
 
 
 def test_a_loss_that_is_no_number_stops_the_training(samples):
-    def broken(*batch: torch.Tensor) -> torch.Tensor:
-        return edge_loss(*batch) * float("nan")
-
     with pytest.raises(ConfigError, match="loss is nan at step 1"):
-        train(fresh(), samples, Schedule(5, batch=2, crop=64), 0, broken)
+        train(fresh(), samples, Schedule(5, batch=2, crop=64), 0, PixelWeights(weight=float("nan")))
 
 
 def test_split_holds_out_a_twentieth_and_at_most_sixty():
@@ -180,7 +178,7 @@ def test_split_holds_out_a_twentieth_and_at_most_sixty():
 
 
 def test_validation_scores_a_trained_network_and_disturbs_nothing(samples, tmp_path):
-    validation = Validation(samples[:2], samples[2:], Schedule(1, batch=2, crop=64), edge_loss)
+    validation = Validation(samples[:2], samples[2:], Schedule(1, batch=2, crop=64), WEIGH)
     scores = validation.measure(load_unet("default"), CPU)
     assert set(scores) == {"photographs", "scenes"}
     assert scores["photographs"].f2 > 70
@@ -198,7 +196,7 @@ def test_validation_scores_a_trained_network_and_disturbs_nothing(samples, tmp_p
 
 def test_sheets_show_image_labels_edges_and_lines(tmp_path):
     wide = labelled(4, 200, 100)
-    validation = Validation([wide], [], Schedule(1, batch=2, crop=64), edge_loss)
+    validation = Validation([wide], [], Schedule(1, batch=2, crop=64), WEIGH)
     validation.write_sheet(load_unet("default"), CPU, tmp_path / "sheet.png")
     sheet = cv2.imread(str(tmp_path / "sheet.png"))
     assert sheet.shape == (204, 4 * 404, 3)
@@ -244,5 +242,5 @@ def test_training_and_validation_on_cuda(samples, tmp_path):
     resumed = fresh()
     checkpoint.restore(resumed, SETTINGS, tmp_path / "state")
     assert run(resumed, samples, 4).step == 4
-    validation = Validation(samples, [], Schedule(1, batch=2, crop=64), edge_loss)
+    validation = Validation(samples, [], Schedule(1, batch=2, crop=64), WEIGH)
     assert validation.measure(state.net, state.device)["photographs"].loss > 0

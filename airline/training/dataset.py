@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm"}
 RIDGE_SIGMA = 0.8  # px; the profile of a label across its line
-LABEL_VERSION = 1  # part of the cache key; raise it when the labels change
+LABEL_VERSION = 2  # part of the cache key; raise it when the labels change
 
 
 @dataclass(frozen=True)
@@ -153,12 +153,12 @@ def random_light(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[
     x: NDArray[Any] = image.astype(np.float32)
     if rng.random() < 0.5:
         x = 255 * (x / 255) ** np.float32(np.exp(rng.uniform(-0.6, 0.6)))
-    if rng.random() < 0.2:
+    if rng.random() < 0.25:
         x = cv2.filter2D(x, -1, motion_kernel(int(rng.integers(3, 14)), rng.uniform(0, np.pi)))
     elif rng.random() < 0.15:
         x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.5, 1.5))
     light = rng.random()
-    if light < 0.15:
+    if light < 0.2:
         x *= np.float32(rng.uniform(1.2, 2.5))
     elif light < 0.65:
         x *= np.float32(np.exp(rng.uniform(np.log(0.12), 0)))

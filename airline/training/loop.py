@@ -15,8 +15,8 @@ from airline.edges import Device
 from airline.errors import ConfigError
 from airline.training.batches import batches
 from airline.training.dataset import Sample
+from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
-from airline.training.validation import Loss
 from airline.unet import UNet
 
 
@@ -62,7 +62,7 @@ def train(
     samples: list[Sample],
     schedule: Schedule,
     seed: int,
-    loss_of: Loss,
+    weigh: PixelWeights,
     after_step: Callable[[float], bool] = lambda loss: False,
 ) -> None:
     """Train from where `state` stands to the end of the schedule.
@@ -72,7 +72,7 @@ def train(
         samples: what to draw crops from; those of a step depend on `seed` and its number alone.
         schedule: how long, and how fast.
         seed: of the crops.
-        loss_of: of logits, target and mask.
+        weigh: how much each pixel counts in the loss.
         after_step: called with the loss after every step; True stops the training, ready to go on later.
 
     Raises:
@@ -82,14 +82,14 @@ def train(
     started = time.monotonic() - state.seconds
     # a GPU is faster than one thread makes crops; on a CPU the network wants the cores itself
     workers = min(16, os.cpu_count() or 1) if device.type == "cuda" else 1
-    with closing(batches(samples, schedule, seed, state.step, workers)) as crops:
+    with closing(batches(samples, schedule, weigh, seed, state.step, workers)) as crops:
         while schedule.done(state.step, state.seconds) < 1:
             for group in optimiser.param_groups:
                 group["lr"] = schedule.rate(state.step, state.seconds)
-            image, target, inside = (part.to(device) for part in next(crops))
+            image, target, weights = (part.to(device) for part in next(crops))
             with torch.autocast(device.type, torch.bfloat16):
                 logits = net(image.contiguous(memory_format=torch.channels_last))
-            loss = loss_of(logits, target, inside)
+            loss = edge_loss(logits, target, weights)
             optimiser.zero_grad(set_to_none=True)
             torch.autograd.backward(loss)
             torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)

@@ -14,9 +14,10 @@ from pathlib import Path
 from airline.training import checkpoint
 from airline.training.dataset import Sample
 from airline.training.loop import State, train
+from airline.training.loss import PixelWeights
 from airline.training.progress import TrainingProgress, training_progress
 from airline.training.schedule import Schedule
-from airline.training.validation import Loss, Validation
+from airline.training.validation import Validation
 
 log = logging.getLogger("airline.train")
 
@@ -41,7 +42,7 @@ class Session:
     checkpoint: Path
     sheets: Path
 
-    def run(self, state: State, samples: list[Sample], seed: int, loss_of: Loss) -> bool:
+    def run(self, state: State, samples: list[Sample], seed: int, weigh: PixelWeights) -> bool:
         """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it before.
 
         Raises:
@@ -60,7 +61,7 @@ class Session:
                     validated = time.monotonic()
                 return asked.is_set()
 
-            train(state, samples, self.schedule, seed, loss_of, after_step)
+            train(state, samples, self.schedule, seed, weigh, after_step)
             finished = self._done(state) >= 1
             if finished:
                 self._validate(state, progress)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from airline.errors import InputError
 from airline.metrics import mean, score
 from airline.training.batches import Batch, make_batch
 from airline.training.dataset import Sample, draw_labels
+from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
 from airline.unet import UNet
 
@@ -24,8 +24,6 @@ MAX_PHOTOGRAPHS = 60
 TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
 BATCHES = 4  # of fixed crops, for the loss
 PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
-
-Loss = Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]  # logits, target, inside
 
 
 @dataclass(frozen=True)
@@ -57,12 +55,11 @@ def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
 class Validation:
     """Measures networks on the same held-out samples, always in the same way."""
 
-    def __init__(self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, loss: Loss) -> None:
+    def __init__(self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, weigh: PixelWeights) -> None:
         """Keep the samples, and make the crops on which the loss is measured."""
         self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
-        self._loss = loss
         self._crops: dict[str, list[Batch]] = {
-            kind: [make_batch(samples, schedule, (12345, k)) for k in range(BATCHES)]
+            kind: [make_batch(samples, schedule, weigh, (12345, k)) for k in range(BATCHES)]
             for kind, samples in self._kinds.items()
         }
 
@@ -91,9 +88,9 @@ class Validation:
     def _mean_loss(self, net: UNet, crops: list[Batch], device: torch.device) -> float:
         losses = []
         for batch in crops:
-            image, target, inside = (part.to(device) for part in batch)
+            image, target, weights = (part.to(device) for part in batch)
             logits = net(image.contiguous(memory_format=torch.channels_last))
-            losses.append(self._loss(logits, target, inside).item())
+            losses.append(edge_loss(logits, target, weights).item())
         return float(np.mean(losses))
 
 
