@@ -1,4 +1,4 @@
-"""The detector: edges, orientation, region grow, line fit."""
+"""The detector: edges, orientation, region grow, line fit, refinement."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from airline.image import Gray, to_gray
 from airline.lines import LineSet
 from airline.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
 from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
+from airline.refine import ImageRefiner
 from airline.trace import Trace
 
 
@@ -24,7 +25,7 @@ class AirLine:
 
     Every stage is an attribute and may be replaced by an object with the same method:
     `edges` (`EdgeDetector`), `pixels` (`PixelSelector`), `orientation` (`OrientationDetector`), `grower`
-    (`RegionGrower`), `fitter` (`LineFitter`).
+    (`RegionGrower`), `fitter` (`LineFitter`), `refiner` (`ImageRefiner`).
 
     Example:
         >>> import numpy as np
@@ -40,6 +41,7 @@ class AirLine:
     orientation: OrientationDetector
     grower: RegionGrower
     fitter: LineFitter
+    refiner: ImageRefiner
 
     def __init__(
         self,
@@ -52,7 +54,7 @@ class AirLine:
         """Build the detector.
 
         Args:
-            preset: "default" or "paper".
+            preset: "default", "fast" or "paper".
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
             device: where the U-Net runs: "auto", "cpu" or "cuda".
@@ -64,6 +66,7 @@ class AirLine:
         settings = settings_of(preset) if config is None else config
         self.edges = edges if edges is not None else _edges(settings, device)
         self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings)
+        self.refiner = ImageRefiner(settings.refine.max_shift)
 
     def __call__(self, image: ArrayLike) -> LineSet:
         """Line segments of an image.
@@ -88,7 +91,7 @@ class AirLine:
 
         Args:
             edges: (H, W) float32 edge probability in [0, 1].
-            gray: (H, W) the image; only descriptors from image gradients need it.
+            gray: (H, W) the image; without it lines stay where the edge map has them.
             edges_ms: milliseconds to report for the edge stage.
         """
         edges = np.ascontiguousarray(edges, np.float32)
@@ -102,7 +105,10 @@ class AirLine:
         clock.append(time.perf_counter())
         lines, labels = self.fitter.fit(selected, descriptors, regions)
         clock.append(time.perf_counter())
-        spent = dict(zip(("pixels", "orientation", "grow", "fit"), (1e3 * np.diff(clock)).tolist(), strict=True))
+        if gray is not None:
+            lines = self.refiner.refine(lines, gray)
+        clock.append(time.perf_counter())
+        spent = dict(zip(("pixels", "orientation", "grow", "fit", "refine"), (1e3 * np.diff(clock)).tolist(), strict=True))
         return Trace(
             edges, selected.pixels, selected.positions, descriptors, labels, lines, {"edges": edges_ms, **spent}
         )
@@ -123,6 +129,6 @@ def _back_end(config: DetectorConfig) -> tuple[PixelSelector, OrientationDetecto
         PaperFitter()
         if fit.kind == "paper"
         else TotalLeastSquaresFitter(
-            fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach
+            fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach, fit.min_score
         ),
     )

@@ -15,6 +15,7 @@ from airline.lines import LineSet
 from airline.moments import fit_regions
 from airline.pixels import EdgePixels
 from airline.reach import reach
+from airline.score import line_scores
 
 
 class LineFitter(Protocol):
@@ -53,6 +54,7 @@ class TotalLeastSquaresFitter:
         max_offset: joined lines may miss each other's axis by this much at the gap, px.
         max_angle: and differ in direction by this much, degrees.
         max_reach: end points move on along the edge by at most this much, px.
+        min_score: lines with a lower score (`airline.score`) are dropped, in [0, 1].
     """
 
     min_length: float = 10.0
@@ -61,13 +63,14 @@ class TotalLeastSquaresFitter:
     max_offset: float = 1.0
     max_angle: float = 5.0
     max_reach: float = 8.0
+    min_score: float = 0.15
 
     def __post_init__(self) -> None:
         if (
-            min(self.min_length, self.max_gap, self.max_offset, self.max_angle, self.max_reach) < 0
+            min(self.min_length, self.max_gap, self.max_offset, self.max_angle, self.max_reach, self.min_score) < 0
             or self.max_deviation <= 0
         ):
-            raise ConfigError("fit lengths and angles must not be negative and max_deviation must be positive")
+            raise ConfigError("fit lengths, angles and scores must not be negative and max_deviation must be positive")
 
     def fit(
         self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
@@ -77,10 +80,12 @@ class TotalLeastSquaresFitter:
         parts, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation)
         merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
         reach(moments, merged, edge.support, self.max_reach)
-        segments, lines_of = _segments(moments, merged, self.min_length)
+        scores = line_scores(edge.support, moments[:, 6:])
+        chosen, lines_of = _choose(moments, merged, scores, self.min_length, np.float32(self.min_score))
         # rows no part covers point at the last element, which is -1
         labels = np.append(lines_of, np.int32(-1))[parts]
-        return _line_set(segments, labels, edge.weights, descriptors), labels
+        segments = moments[chosen, 6:].reshape(-1, 2, 2).astype(np.float32)
+        return LineSet(segments, scores[chosen], _mean_descriptors(labels, descriptors, len(segments))), labels
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,8 @@ class PaperFitter:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
         segments = _paper_fit(edge.positions, order, offsets)
-        return _line_set(segments, regions, edge.weights, descriptors), regions
+        scores = line_scores(edge.support, segments.reshape(-1, 4))
+        return LineSet(segments, scores, _mean_descriptors(regions, descriptors, len(segments))), regions
 
 
 def group(labels: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -107,51 +113,43 @@ def group(labels: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int6
     return order, np.searchsorted(labels[order], np.arange(last + 2))
 
 
-def _line_set(
-    segments: NDArray[np.float32],
-    labels: NDArray[np.int32],
-    weights: NDArray[np.float32],
-    descriptors: NDArray[np.float32],
-) -> LineSet:
-    """Scores (mean edge strength times the share of the length that has pixels) and mean descriptors."""
-    count, channels = len(segments), descriptors.shape[1]
-    score = np.zeros(count, np.float32)
-    mean = np.zeros((count, channels), np.float32)
-    _accumulate(labels, weights, descriptors, score, mean)
-    extent = np.abs(segments[:, 1] - segments[:, 0]).max(axis=1, initial=0) + 1
+def _mean_descriptors(
+    labels: NDArray[np.int32], descriptors: NDArray[np.float32], count: int
+) -> NDArray[np.float32]:
+    """(count, C) unit rows: the mean descriptor of each line's pixels."""
+    mean = np.zeros((count, descriptors.shape[1]), np.float32)
+    _accumulate(labels, descriptors, mean)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    return LineSet(segments, np.minimum(1, score / extent), mean)
+    return mean
 
 
 @njit(cache=True, nogil=True)
-def _accumulate(labels, weights, descriptors, score, mean):  # type: ignore[no-untyped-def]
+def _accumulate(labels, descriptors, total):  # type: ignore[no-untyped-def]
     for k in range(len(labels)):
         if labels[k] >= 0:
-            score[labels[k]] += weights[k]
             for c in range(descriptors.shape[1]):
-                mean[labels[k], c] += descriptors[k, c]
+                total[labels[k], c] += descriptors[k, c]
 
 
 @njit(cache=True, nogil=True)
-def _segments(moments, owner, min_length):  # type: ignore[no-untyped-def]
-    """Segments of the surviving parts that are long enough, and the line number of each part (-1: none)."""
+def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
+    """The surviving parts that are long and sure enough, and the line number of each part (-1: none)."""
     count = len(moments)
     numbers = np.full(count, -1, np.int32)
-    segments = np.empty((count, 2, 2), np.float32)
+    chosen = np.empty(count, np.int64)
     lines = 0
     for i in range(count):
         length = np.hypot(moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7])
-        if owner[i] == i and length >= min_length:
+        if owner[i] == i and length >= min_length and scores[i] >= min_score:
             numbers[i] = lines
-            segments[lines, 0] = moments[i, 6:8]
-            segments[lines, 1] = moments[i, 8:10]
+            chosen[lines] = i
             lines += 1
     for i in range(count):
         root = i
         while owner[root] != root:
             root = owner[root]
         numbers[i] = numbers[root]
-    return segments[:lines].copy(), numbers
+    return chosen[:lines].copy(), numbers
 
 
 @njit(cache=True, nogil=True)

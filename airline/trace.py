@@ -25,7 +25,7 @@ class Trace:
         descriptors: (M, C) float32 orientation descriptors, unit rows.
         labels: (M,) int32 index of the line in `lines` that the pixel belongs to, or -1.
         lines: the detected segments.
-        stage_ms: milliseconds spent per stage: edges, pixels, orientation, grow, fit.
+        stage_ms: milliseconds spent per stage: edges, pixels, orientation, grow, fit, refine.
     """
 
     edges: NDArray[np.float32]

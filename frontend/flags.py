@@ -37,7 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
     frames.add_argument("--fps", type=float, help="frame rate of image folders without timestamps")
     frames.add_argument("--topic", help="image topic of a log")
     model = parser.add_argument_group("detector")
-    model.add_argument("--preset", choices=["default", "paper"], help="settings to start from")
+    model.add_argument("--preset", choices=["default", "fast", "paper"], help="settings to start from")
     model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
     model.add_argument("--device", choices=["auto", "cpu", "cuda"], help="where the edge network runs")
     settings = parser.add_argument_group("settings")

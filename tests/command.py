@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 EVERY_FRAME = {
     *(f"/camera/{name}" for name in ("image", "edges", "orientation", "segments", "tracks")),
     *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed")),
-    *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "track")),
+    *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "refine", "track")),
     "/stats/track_length",
 }
 

@@ -64,13 +64,13 @@ def test_result_is_well_formed(airline):
     assert (lines.lengths >= DetectorConfig().fit.min_length - 1e-3).all()
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 def test_trace_agrees_with_itself(preset):
     detector = AirLine(preset)
     trace = detector.trace(room())
     again = detector(room())
     assert np.array_equal(trace.lines.segments, again.segments)
-    assert set(trace.stage_ms) == {"edges", "pixels", "orientation", "grow", "fit"}
+    assert set(trace.stage_ms) == {"edges", "pixels", "orientation", "grow", "fit", "refine"}
     assert trace.edges.shape == trace.label_map.shape == (240, 320)
     assert trace.descriptor_map.shape == (240, 320, 6)
     assert trace.labels.max() == len(trace.lines) - 1

@@ -35,7 +35,7 @@ FLAGS = (
     *("--save", "--headless", "--summary", "--max-frames", "--start", "--end", "--stride", "--resize"),
     *("--preset", "--weights", "--device", "--config", "--dump-config", "--version", "-v"),
 )
-STAGES = ["edges", "pixels", "orientation", "grow", "fit", "track", "sinks"]
+STAGES = ["edges", "pixels", "orientation", "grow", "fit", "refine", "track", "sinks"]
 
 
 @dataclass(frozen=True)

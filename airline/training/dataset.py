@@ -160,11 +160,11 @@ def random_light(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[
     light = rng.random()
     if light < 0.2:
         x *= np.float32(rng.uniform(1.2, 2.5))
-    elif light < 0.65:
+    elif light < 0.7:
         x *= np.float32(np.exp(rng.uniform(np.log(0.12), 0)))
         x += np.float32(rng.uniform(0, 30))
-    if rng.random() < 0.65:
-        x += rng.standard_normal(x.shape, np.float32) * np.float32(rng.uniform(0.5, 12) if light < 0.65 else 4)
+    if rng.random() < 0.7:
+        x += rng.standard_normal(x.shape, np.float32) * np.float32(rng.uniform(0.5, 12) if light < 0.7 else 4)
     return np.asarray(np.clip(np.rint(x), 0, 255), np.uint8)
 
 
