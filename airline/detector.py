@@ -108,7 +108,8 @@ class AirLine:
         if gray is not None:
             lines = self.refiner.refine(lines, gray)
         clock.append(time.perf_counter())
-        spent = dict(zip(("pixels", "orientation", "grow", "fit", "refine"), (1e3 * np.diff(clock)).tolist(), strict=True))
+        stages = ("pixels", "orientation", "grow", "fit", "refine")
+        spent = dict(zip(stages, (1e3 * np.diff(clock)).tolist(), strict=True))
         return Trace(
             edges, selected.pixels, selected.positions, descriptors, labels, lines, {"edges": edges_ms, **spent}
         )

@@ -53,7 +53,7 @@ class TotalLeastSquaresFitter:
         max_gap: collinear lines that end within this distance of each other are joined, px; 0 joins none.
         max_offset: joined lines may miss each other's axis by this much at the gap, px.
         max_angle: and differ in direction by this much, degrees.
-        max_reach: end points move on along the edge by at most this much, px.
+        max_reach: end points move on along the edge by at most this much, px, and a quarter of the line's length.
         min_score: lines with a lower score (`airline.score`) are dropped, in [0, 1].
     """
 
@@ -113,9 +113,7 @@ def group(labels: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int6
     return order, np.searchsorted(labels[order], np.arange(last + 2))
 
 
-def _mean_descriptors(
-    labels: NDArray[np.int32], descriptors: NDArray[np.float32], count: int
-) -> NDArray[np.float32]:
+def _mean_descriptors(labels: NDArray[np.int32], descriptors: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     """(count, C) unit rows: the mean descriptor of each line's pixels."""
     mean = np.zeros((count, descriptors.shape[1]), np.float32)
     _accumulate(labels, descriptors, mean)

@@ -9,6 +9,7 @@ from airline.score import bilinear, strength
 
 FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian
 STEP = 0.5  # px
+SHARE = 0.25  # of a line's length that each end may move on: what a short line adds is mostly chance
 
 
 @njit(cache=True, nogil=True)
@@ -21,14 +22,14 @@ def reach(moments, owner, support, max_reach):  # type: ignore[no-untyped-def]
         if owner[i] != i or max_reach <= 0 or length < 4:
             continue
         dx, dy = dx / length, dy / length
+        farthest = min(max_reach, SHARE * length) + FALL
         level = 0.5 * strength(support, moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9])
         for side in range(2):
             x, y = moments[i, 6 + 2 * side], moments[i, 7 + 2 * side]
             ux, uy = (dx, dy) if side else (-dx, -dy)
             t = -1.5
-            while t < max_reach + FALL and bilinear(support, x + (t + STEP) * ux, y + (t + STEP) * uy) > level:
+            while t < farthest and bilinear(support, x + (t + STEP) * ux, y + (t + STEP) * uy) > level:
                 t += STEP
             t -= FALL
             moments[i, 6 + 2 * side] = min(max(x + t * ux, -0.5), width - 0.5)
             moments[i, 7 + 2 * side] = min(max(y + t * uy, -0.5), height - 0.5)
-

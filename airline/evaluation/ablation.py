@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.config import DetectorConfig, EdgeConfig, FitConfig, GrowConfig, OrientationConfig, preset
+from airline.config import DetectorConfig, EdgeConfig, FitConfig, GrowConfig, OrientationConfig, RefineConfig, preset
 from airline.detector import AirLine
 from airline.edges import CannyEdges, EdgeDetector, UNetEdges
 from airline.evaluation.benchmark import Figures, Image, Lines, Tally, lsd
@@ -27,7 +27,7 @@ GRADIENT = OrientationConfig(kind="gradient")
 
 @dataclass(frozen=True)
 class Variant:
-    """A row of the table: settings, and the edges ("unet", "canny" or "sensitive canny") that they work on."""
+    """A row of the table: settings, and the edges ("unet", "fast", "canny" or "sensitive canny") that they work on."""
 
     name: str
     config: DetectorConfig = DEFAULT
@@ -46,11 +46,14 @@ VARIANTS = [
     Variant("paper's line fit", DetectorConfig(fit=FitConfig(kind="paper"))),
     Variant(
         "bare least squares",
-        DetectorConfig(fit=FitConfig(min_length=0, max_deviation=1000, max_gap=0, max_reach=0)),
+        DetectorConfig(fit=FitConfig(min_length=0, max_deviation=1000, max_gap=0, max_reach=0, min_score=0)),
     ),
     Variant("no joining", DetectorConfig(fit=FitConfig(max_gap=0))),
     Variant("no end-point reach", DetectorConfig(fit=FitConfig(max_reach=0))),
+    Variant("no refinement", DetectorConfig(refine=RefineConfig(max_shift=0))),
+    Variant("no least score", DetectorConfig(fit=FitConfig(min_score=0))),
     Variant("no thinning", DetectorConfig(edges=EdgeConfig(thin=False))),
+    Variant("fast network", edges="fast"),
     Variant("Canny", edges="canny"),
     Variant("sensitive Canny", edges="sensitive canny"),
     Variant("paper preset", preset("paper")),
@@ -108,7 +111,12 @@ def measure_variants(samples: Iterable[Sample]) -> dict[str, Figures]:
 
 def edge_detectors() -> dict[str, EdgeDetector]:
     """The edge detectors that the variants name."""
-    return {"unet": UNetEdges(), "canny": CannyEdges(), "sensitive canny": CannyEdges(30, 90, 0.7)}
+    return {
+        "unet": UNetEdges(),
+        "fast": UNetEdges("fast"),
+        "canny": CannyEdges(),
+        "sensitive canny": CannyEdges(30, 90, 0.7),
+    }
 
 
 def back_end(config: DetectorConfig, edges: EdgeDetector) -> BackEnd:

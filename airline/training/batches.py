@@ -42,7 +42,9 @@ def batches(
     Threads do: nearly all the time is spent in OpenCV, NumPy and compiled code that let other threads run.
     """
     with ThreadPoolExecutor(workers) as pool:
-        ahead = deque(pool.submit(make_batch, samples, schedule, weigh, (seed, first + k)) for k in range(2 * workers + 1))
+        ahead = deque(
+            pool.submit(make_batch, samples, schedule, weigh, (seed, first + k)) for k in range(2 * workers + 1)
+        )
         try:
             for step in itertools.count(first + len(ahead)):
                 yield ahead.popleft().result()

@@ -33,7 +33,7 @@ class PixelWeights:
     radius: int = 5
 
     def __call__(self, target: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """(H, W) float32 weights of an (H, W) soft edge map; pixels that are not inside the photograph weigh nothing."""
+        """(H, W) float32 weights of an (H, W) soft edge map; pixels outside the photograph weigh nothing."""
         near = cv2.dilate((target > 0.1).astype(np.uint8), disk(self.radius))
         weights: NDArray[np.float32] = ((1 - self.weight) + self.weight * near) * inside
         return weights.astype(np.float32)

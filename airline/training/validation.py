@@ -55,7 +55,9 @@ def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
 class Validation:
     """Measures networks on the same held-out samples, always in the same way."""
 
-    def __init__(self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, weigh: PixelWeights) -> None:
+    def __init__(
+        self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, weigh: PixelWeights
+    ) -> None:
         """Keep the samples, and make the crops on which the loss is measured."""
         self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
         self._crops: dict[str, list[Batch]] = {
