@@ -21,14 +21,15 @@ class EdgeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         weights: bundled weights by name, or a file, for the U-Net.
         thin: work on the sub-pixel ridge of the edge map; otherwise on every pixel above the threshold.
         threshold: edge pixels have at least this probability.
-        smoothing: side of the Gaussian window before thinning, odd, px.
+        smoothing: side of the Gaussian window before thinning, odd, px; "auto" is 1 (none) for the U-Net, whose ridges
+            are smooth, and 3 for any other edges.
         seed_threshold: and a region starts only at pixels of at least this one.
     """
 
     detector: Literal["unet", "canny"] = "unet"
     weights: str = "default"
     thin: bool = True
-    smoothing: Annotated[int, msgspec.Meta(ge=1, le=31)] = 3
+    smoothing: Literal["auto"] | Annotated[int, msgspec.Meta(ge=1, le=31)] = "auto"
     threshold: Share = 0.15
     seed_threshold: Share = 0.3
 
@@ -45,20 +46,20 @@ class OrientationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 class GrowConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stage 3; see `RegionGrower`."""
 
-    similarity: Share = 0.7
-    min_pixels: Annotated[int, msgspec.Meta(ge=1)] = 8
+    similarity: Share = 0.6
+    min_pixels: Annotated[int, msgspec.Meta(ge=1)] = 6
 
 
 class FitConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stage 4; see `TotalLeastSquaresFitter` and, for "paper", `PaperFitter`."""
 
     kind: Literal["total-least-squares", "paper"] = "total-least-squares"
-    min_length: Pixels = 10.0
-    max_deviation: Pixels = 2.0
-    max_gap: Pixels = 8.0
+    min_length: Pixels = 8.0
+    max_deviation: Pixels = 2.5
+    max_gap: Pixels = 5.0
     max_offset: Pixels = 1.0
-    max_angle: Annotated[float, msgspec.Meta(ge=0, le=90)] = 5.0
-    max_reach: Pixels = 8.0
+    max_angle: Annotated[float, msgspec.Meta(ge=0, le=90)] = 8.0
+    max_reach: Pixels = 14.0
     min_score: Share = 0.15
 
 

@@ -65,7 +65,7 @@ class AirLine:
         """
         settings = settings_of(preset) if config is None else config
         self.edges = edges if edges is not None else _edges(settings, device)
-        self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings)
+        self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings, self.edges)
         self.refiner = ImageRefiner(settings.refine.max_shift)
 
     def __call__(self, image: ArrayLike) -> LineSet:
@@ -119,10 +119,13 @@ def _edges(config: DetectorConfig, device: Device) -> EdgeDetector:
     return CannyEdges() if config.edges.detector == "canny" else UNetEdges(config.edges.weights, device)
 
 
-def _back_end(config: DetectorConfig) -> tuple[PixelSelector, OrientationDetector, RegionGrower, LineFitter]:
+def _back_end(
+    config: DetectorConfig, detector: EdgeDetector
+) -> tuple[PixelSelector, OrientationDetector, RegionGrower, LineFitter]:
     edges, orientation, grow, fit = config.edges, config.orientation, config.grow, config.fit
+    smoothing = (1 if isinstance(detector, UNetEdges) else 3) if edges.smoothing == "auto" else edges.smoothing
     return (
-        RidgePixels(edges.threshold, edges.smoothing) if edges.thin else ThresholdPixels(edges.threshold),
+        RidgePixels(edges.threshold, smoothing) if edges.thin else ThresholdPixels(edges.threshold),
         GradientOrientation()
         if orientation.kind == "gradient"
         else LineKernelOrientation(orientation.channels, orientation.kernel_size, orientation.subtract_mean),

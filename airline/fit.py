@@ -57,12 +57,12 @@ class TotalLeastSquaresFitter:
         min_score: lines with a lower score (`airline.score`) are dropped, in [0, 1].
     """
 
-    min_length: float = 10.0
-    max_deviation: float = 2.0
-    max_gap: float = 8.0
+    min_length: float = 8.0
+    max_deviation: float = 2.5
+    max_gap: float = 5.0
     max_offset: float = 1.0
-    max_angle: float = 5.0
-    max_reach: float = 8.0
+    max_angle: float = 8.0
+    max_reach: float = 14.0
     min_score: float = 0.15
 
     def __post_init__(self) -> None:

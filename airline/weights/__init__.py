@@ -17,7 +17,7 @@ from airline.errors import WeightsError
 if TYPE_CHECKING:
     from airline.unet import UNet
 
-BUNDLED = {"default": "cc150b015464e70e4165807368db71a3f742b911de818cc59f979fdee00c1a45"}
+BUNDLED = {"default": "f53d58f4cee137c9ebd87e5831c8c6620a16359a64923ba6262397144bbdb354"}
 
 
 def bundled_path(name: str) -> Path:
