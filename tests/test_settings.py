@@ -46,8 +46,7 @@ def values(name: str, hint: Any) -> st.SearchStrategy[Any]:
     if get_origin(hint) is Annotated:
         return values(name, get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
-        (inner,) = (kind for kind in get_args(hint) if kind is not type(None))
-        return values(name, inner)
+        return st.one_of([values(name, kind) for kind in get_args(hint) if kind is not type(None)])
     if get_origin(hint) is Literal:
         return st.sampled_from(get_args(hint))
     plain = {bool: st.booleans(), int: st.integers(1, 99), float: st.floats(2**-10, 99)}

@@ -17,7 +17,10 @@ from airline.errors import WeightsError
 if TYPE_CHECKING:
     from airline.unet import UNet
 
-BUNDLED = {"default": "f53d58f4cee137c9ebd87e5831c8c6620a16359a64923ba6262397144bbdb354"}
+BUNDLED = {
+    "default": "f53d58f4cee137c9ebd87e5831c8c6620a16359a64923ba6262397144bbdb354",
+    "fast": "b3275a9935d2471ce5bfb4a28c20eb7f0598a910c59f64edf487711d7518e55d",
+}
 
 
 def bundled_path(name: str) -> Path:
