@@ -16,7 +16,7 @@ Every row is the default with what the row names exchanged, in good light.
 LPr, P2, R2, F2: see python -m airline.evaluate --help. LPr is a recall, and no score minds several
   lines on one edge, so read them all beside the number of lines per image.
 ms: median time of the stages after the edge map; for LSD, of everything.
-T: similarity at which a pixel joins a region, 0.7 in the default. The rows that name it compare
+T: similarity at which a pixel joins a region, 0.6 in the default. The rows that name it compare
   descriptors (the paper's table III), each at the T with its best F2 of a sweep on every second
   image of YorkUrban's training half. Mean: the mean over the channels is not taken away; of two
   channels that would leave nothing but which one is larger. The image gradient is compared with

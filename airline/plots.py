@@ -67,6 +67,9 @@ def read_evaluation(path: Path) -> Evaluation:
 def read_rivals(paths: list[Path]) -> dict[str, Scores]:
     """Scores by name: ours and LSD's of the first file, and those of the further files under their stems.
 
+    The machine is not equally fast from run to run: times of the further files are scaled so that LSD, which ran beside
+    each, took as long as in the first one.
+
     Raises:
         InputError: a file cannot be used, two have one name, or the first one lacks LSD or the times.
     """
@@ -77,7 +80,10 @@ def read_rivals(paths: list[Path]) -> dict[str, Scores]:
     for path in paths[1:]:
         if path.stem in rivals:
             raise InputError(f"two detectors are called {path.stem}: rename {path}")
-        rivals[path.stem] = read_evaluation(path)
+        rival = read_evaluation(path)
+        if rival.ms is not None and rival.lsd is not None and rival.lsd.ms is not None:
+            rival = msgspec.structs.replace(rival, ms=rival.ms * ours.lsd.ms / rival.lsd.ms)
+        rivals[path.stem] = rival
     return rivals
 
 

@@ -170,6 +170,13 @@ def test_performance_shows_who_was_timed(evaluations: list[Path]) -> None:
     assert points == {"AirLine": (50.0, 78.0), "LSD": (100.0, 79.0)}
 
 
+def test_performance_is_that_of_one_machine(evaluations: list[Path], tmp_path: Path) -> None:
+    """A run on a busy machine took everybody three times as long, LSD too."""
+    busy = tmp_path / "busy.json"
+    busy.write_text(json.dumps(_scores(1, ms=60.0, lsd=_scores(2, ms=30.0))))
+    assert read_rivals([evaluations[0], busy])["busy"].ms == pytest.approx(20.0)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
