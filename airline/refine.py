@@ -30,7 +30,7 @@ class ImageRefiner:
     """Moves lines to the extremum of the grey levels' slope across them.
 
     Attributes:
-        max_shift: a line of which an end point would move by more than this stays where it is, px.
+        max_shift: a line of which an end point would move by more than this stays where it is, px; 0 moves none.
     """
 
     max_shift: float = 0.5
@@ -46,6 +46,8 @@ class ImageRefiner:
             lines: N lines, px.
             gray: (H, W) uint8 or uint16, the image.
         """
+        if self.max_shift == 0:
+            return lines
         segments = lines.segments.copy()
         _refine(to_uint8(gray), segments, self.max_shift)
         return replace(lines, segments=segments)
