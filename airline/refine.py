@@ -17,6 +17,7 @@ from numba import njit
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
 from airline.lines import LineSet
+from airline.score import bilinear
 
 CHUNK = 8.0  # px, length over which profiles are averaged
 MIN_LENGTH = 10.0  # px; shorter lines stay where they are
@@ -98,12 +99,7 @@ def _chunk(image, x0, y0, ux, uy, length):  # type: ignore[no-untyped-def]
             continue
         last = 0.0
         for j in range(6):
-            px, py = x - (j - 2.5) * uy, y + (j - 2.5) * ux
-            column, row = int(px), int(py)
-            fx, fy = px - column, py - row
-            above = (1 - fx) * image[row, column] + fx * image[row, column + 1]
-            below = (1 - fx) * image[row + 1, column] + fx * image[row + 1, column + 1]
-            value = (1 - fy) * above + fy * below
+            value = bilinear(image, x - (j - 2.5) * uy, y + (j - 2.5) * ux)
             if j > 0:
                 slope[j - 1] += value - last
             if j == 3:
