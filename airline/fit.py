@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from airline.errors import ConfigError
 from airline.join import join
 from airline.lines import LineSet
-from airline.moments import fit_regions
+from airline.moments import fit_regions, residuals
 from airline.pixels import EdgePixels
 from airline.reach import reach
 from airline.score import line_scores
@@ -85,7 +85,15 @@ class TotalLeastSquaresFitter:
         # rows no part covers point at the last element, which is -1
         labels = np.append(lines_of, np.int32(-1))[parts]
         segments = moments[chosen, 6:].reshape(-1, 2, 2).astype(np.float32)
-        return LineSet(segments, scores[chosen], _mean_descriptors(labels, descriptors, len(segments))), labels
+        return (
+            LineSet(
+                segments,
+                scores[chosen],
+                _mean_descriptors(labels, descriptors, len(segments)),
+                residuals(moments[chosen]).astype(np.float32),
+            ),
+            labels,
+        )
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,13 @@ class LineSet:
         segments: (N, 2, 2) float32, px; each row is [[x0, y0], [x1, y1]].
         scores: (N,) float32 in [0, 1]; higher is more reliable.
         descriptors: (N, C) float32 orientation descriptors, rows of unit length.
+        residuals: (N,) float32 rms distance of each line's edge pixels from it, px; None from fitters that know none.
     """
 
     segments: NDArray[np.float32]
     scores: NDArray[np.float32]
     descriptors: NDArray[np.float32]
+    residuals: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.segments)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 
 @njit(cache=True, nogil=True)
@@ -18,6 +19,15 @@ def principal(moments):  # type: ignore[no-untyped-def]
     xx, xy, yy = moments[3] / weight - mx * mx, moments[4] / weight - mx * my, moments[5] / weight - my * my
     angle = 0.5 * np.arctan2(2 * xy, xx - yy)
     return mx, my, np.cos(angle), np.sin(angle)
+
+
+def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) weighted rms distance of the pixels from their line, px, of (N, 10) parts: the moments' lesser axis."""
+    weight, x, y, xx, xy, yy = moments[:, :6].T
+    mx, my = x / weight, y / weight
+    xx, xy, yy = xx / weight - mx * mx, xy / weight - mx * my, yy / weight - my * my
+    variance = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 @njit(cache=True, nogil=True)

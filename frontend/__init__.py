@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from frontend.camera import CameraModel
     from frontend.frame import Frame
+    from frontend.history import Observations, TrackHistory
     from frontend.pipeline import LineFrontend
     from frontend.protocols import FrameResult, Sink, Source
     from frontend.sources import open_source
-    from frontend.tracker import LineTracker, TrackerConfig
+    from frontend.tracker import LineTracker
+    from frontend.tracking.config import TrackerConfig
     from frontend.tracks import LineTracks, TrackState
 
 _HOMES = {
@@ -20,10 +22,12 @@ _HOMES = {
     "LineFrontend": "frontend.pipeline",
     "LineTracker": "frontend.tracker",
     "LineTracks": "frontend.tracks",
+    "Observations": "frontend.history",
     "Sink": "frontend.protocols",
     "Source": "frontend.protocols",
+    "TrackHistory": "frontend.history",
     "TrackState": "frontend.tracks",
-    "TrackerConfig": "frontend.tracker",
+    "TrackerConfig": "frontend.tracking.config",
     "open_source": "frontend.sources",
 }
 
@@ -34,8 +38,10 @@ __all__ = [
     "LineFrontend",
     "LineTracker",
     "LineTracks",
+    "Observations",
     "Sink",
     "Source",
+    "TrackHistory",
     "TrackState",
     "TrackerConfig",
     "open_source",

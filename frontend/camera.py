@@ -1,4 +1,4 @@
-"""Camera models: from pixels to normalised image coordinates."""
+"""Camera models: from pixels to normalised image coordinates and back."""
 
 from __future__ import annotations
 
@@ -9,6 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
+from frontend.distortion import (
+    distort_equidistant,
+    distort_radial_tangential,
+    undistort_equidistant,
+    undistort_radial_tangential,
+)
 
 Distortion = Literal["none", "radial-tangential", "equidistant"]
 
@@ -55,27 +61,41 @@ class CameraModel:
         """(3, 3) float64 intrinsic matrix, px."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
-    def normalize(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Undistorted coordinates on the plane z = 1 of pixel positions.
+    def normalize(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Undistorted coordinates on the plane z = 1 of pixel positions; the inverse of `project`.
 
         Args:
             points: (..., 2) pixel positions (x, y).
 
         Returns:
-            (..., 2) float32 normalised coordinates.
+            (..., 2) float32 normalised coordinates, exact to float32. Both are NaN where the distortion has no inverse:
+            beyond the radius at which it folds the image back, and 90 degrees and more off the axis.
         """
-        if self.distortion == "none":
-            centre = np.array([self.cx, self.cy])
-            plane: NDArray[np.float32] = ((points - centre) / np.array([self.fx, self.fy])).astype(np.float32)
-            return plane
-        import cv2
+        flat = np.asarray(points, np.float64).reshape(-1, 2)
+        plane = (flat - (self.cx, self.cy)) / (self.fx, self.fy)
+        if self.distortion == "radial-tangential":
+            plane = undistort_radial_tangential(plane, self.coefficients)
+        elif self.distortion == "equidistant":
+            plane = undistort_equidistant(plane, self.coefficients)
+        return np.asarray(plane.reshape(np.shape(points)), np.float32)
 
-        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
-        if not len(flat):
-            return np.zeros(points.shape, np.float32)
-        undistort = cv2.fisheye.undistortPoints if self.distortion == "equidistant" else cv2.undistortPoints
-        plane = undistort(flat, self.matrix, self.coefficients).reshape(points.shape).astype(np.float32)
-        return plane
+    def project(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Pixel positions of undistorted coordinates on the plane z = 1; the inverse of `normalize`.
+
+        Args:
+            points: (..., 2) normalised coordinates (X / Z, Y / Z) of points before the camera.
+
+        Returns:
+            (..., 2) float32 px, which may lie outside of the image; NaN outside of the distortion's domain, where
+            it would fold them back into the image.
+        """
+        plane = np.asarray(points, np.float64).reshape(-1, 2)
+        if self.distortion == "radial-tangential":
+            plane = distort_radial_tangential(plane, self.coefficients)
+        elif self.distortion == "equidistant":
+            plane = distort_equidistant(plane, self.coefficients)
+        pixels = plane * (self.fx, self.fy) + (self.cx, self.cy)
+        return np.asarray(pixels.reshape(np.shape(points)), np.float32)
 
     def scaled(self, width: int, height: int) -> CameraModel:
         """The same camera for images resized to width x height px."""

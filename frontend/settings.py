@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from airline.config import DetectorConfig, Preset, preset
 from airline.errors import ConfigError, InputError
-from frontend.tracker import TrackerConfig
+from frontend.tracking.config import TrackerConfig
 
 T = TypeVar("T")
 

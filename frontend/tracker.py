@@ -2,67 +2,50 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import replace
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
 from airline.image import to_gray, to_uint8
 from airline.lines import LineSet
 from frontend.frame import Frame
-from frontend.motion import predict_segments
-from frontend.overlap import assign, overlap_votes
+from frontend.tracking.appearance import side_profiles
+from frontend.tracking.assignment import assign
+from frontend.tracking.borders import clip
+from frontend.tracking.config import TrackerConfig
+from frontend.tracking.fragments import absorbed, parents
+from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances, with_bias
+from frontend.tracking.motion import Prediction, WorkingImage, predict_segments, working_image
+from frontend.tracking.overlap import Looks, overlap_votes
+from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
+MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
+MEMORY = 0.5  # weight of the past in a track's profile
+CUT_FLOW = 0.1  # share of consistent flow below which an image may show another scene,
+CUT_TRACKS = 0.1  # if no more than this share of the tracks goes on
+CUT_LEAST = 10  # and there are so many tracks and lines that this is not chance
 
-class TrackerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of the tracker.
-
-    Attributes:
-        confirm_hits: a track is confirmed when it was seen in this many frames.
-        max_missed: a confirmed track that was not seen in more than this many frames in a row ends; a tentative one
-            ends when it is missed once.
-        band: a line may be this far from where its track is predicted, px.
-        min_agreement: least dot product of the descriptors of a track and its line.
-        min_vote: least vote (overlap x closeness x agreement) of a pair.
-        max_gap_s: a longer gap between two frames ends all tracks, seconds.
-    """
-
-    confirm_hits: int = 3
-    max_missed: int = 5
-    band: float = 4.0
-    min_agreement: Annotated[float, msgspec.Meta(ge=-1, le=1)] = 0.5
-    min_vote: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
-    max_gap_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.confirm_hits < 1 or self.max_missed < 0 or self.band <= 0 or self.max_gap_s <= 0:
-            raise ConfigError("tracker needs confirm_hits >= 1, max_missed >= 0, band > 0 and max_gap_s > 0")
+Pairs = NDArray[np.int32]  # row of the line that each track goes on with, or -1
 
 
 class LineTracker:
     """Gives the same physical line the same id from frame to frame.
 
     Predict each track by image motion, lay it over the new lines, let it vote for those it overlaps, weighted by how
-    well their orientation descriptors agree, pair one to one, update.
+    well their orientation descriptors and both their sides agree, pair one to one, fuse. Tracks that were just seen
+    choose first; those that were missed may take what is left.
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
         self._next_id = 0
-        self._image: NDArray[np.uint8] | None = None
+        self._tracks: TrackTable | None = None
+        self._image: WorkingImage | None = None
+        self._size = (0, 0)
         self._stamp_ns = 0
-        self._clear(0)
-
-    def _clear(self, channels: int) -> None:
-        self._ids = np.zeros(0, np.int64)
-        self._segments = np.zeros((0, 2, 2), np.float32)
-        self._descriptors = np.zeros((0, channels), np.float32)
-        self._born = np.zeros(0, np.int64)
-        self._hits = np.zeros(0, np.int32)
-        self._missed = np.zeros(0, np.int32)
+        self._motion = np.eye(3)
 
     def update(self, frame: Frame, lines: LineSet) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
@@ -71,76 +54,184 @@ class LineTracker:
             frame: the image, in time order.
             lines: its detected lines.
         """
-        image = to_uint8(to_gray(frame.image))
-        reset = self._reset_reason(frame, image)
-        if reset or self._image is None:
-            self._clear(lines.descriptors.shape[1])
-        else:
-            self._segments = predict_segments(self._image, image, self._segments)
-        self._image, self._stamp_ns = image, frame.stamp_ns
-        votes = overlap_votes(
-            self._segments,
-            self._descriptors,
-            lines.segments,
-            lines.descriptors,
-            self.config.band,
-            self.config.min_agreement,
-        )
-        seen = self._pair(assign(votes, self.config.min_vote), lines, frame.index)
-        return self._tracks(frame, lines, seen, reset)
+        gray = to_uint8(to_gray(frame.image))
+        image, size = working_image(gray), (gray.shape[1], gray.shape[0])
+        seen = Looks(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
+        earlier = no_tracks(seen) if self._tracks is None else self._tracks
+        tracks, pairs = earlier, np.full(len(earlier), -1, np.int32)
+        reset = self._reset_reason(frame.stamp_ns, size)
+        if reset is None and len(earlier) and len(lines):
+            prediction = self._predict(earlier, image)
+            tracks = self._moved(earlier, prediction, size)
+            pairs = self._pair(tracks, seen)
+            reset = _cut_reason(prediction.trusted, earlier.visible, pairs, len(lines))
+        if reset is not None:
+            tracks, pairs = no_tracks(seen), np.zeros(0, np.int32)
+        tracks, line_of = self._next(tracks, pairs, seen, lines.residuals, frame.index, size)
+        if len(lines) or reset is not None:
+            self._image = image
+        else:  # an image without lines says nothing: the tracks wait where they were
+            tracks = replace(tracks, visible=earlier.take(np.isin(earlier.ids, tracks.ids)).visible)
+        self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
+        return self._result(frame, lines, tracks, line_of, np.setdiff1d(earlier.ids, tracks.ids), reset)
 
-    def _reset_reason(self, frame: Frame, image: NDArray[np.uint8]) -> str | None:
-        if self._image is None:
+    def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
+        if self._tracks is None:
             return None
-        if self._image.shape != image.shape:
-            (old_h, old_w), (new_h, new_w) = self._image.shape, image.shape
-            return f"resolution changed from {old_w}x{old_h} to {new_w}x{new_h}"
-        gap = (frame.stamp_ns - self._stamp_ns) * 1e-9
+        if self._size != size:
+            return f"resolution changed from {self._size[0]}x{self._size[1]} to {size[0]}x{size[1]}"
+        gap = (stamp_ns - self._stamp_ns) * 1e-9
         if gap < 0:
             return f"time went back by {-gap:.3f} s"
         if gap > self.config.max_gap_s:
             return f"gap of {gap:.3f} s"
         return None
 
-    def _pair(self, chosen: NDArray[np.int32], lines: LineSet, frame_index: int) -> NDArray[np.int32]:
-        """Update the tracks with their lines, end the lost ones, begin new ones; returns the line of each track."""
-        hit = chosen >= 0
-        matched = lines.segments[chosen[hit]]
-        backwards = _runs_backwards(self._segments[hit], matched)
-        matched[backwards] = matched[backwards, ::-1]
-        self._segments[hit], self._descriptors[hit] = matched, lines.descriptors[chosen[hit]]
-        self._hits[hit] += 1
-        self._missed = np.where(hit, 0, self._missed + 1).astype(np.int32)
-        patience = np.where(self._hits >= self.config.confirm_hits, self.config.max_missed, 0)
-        alive = self._missed <= patience
-        new = np.setdiff1d(np.arange(len(lines), dtype=np.int32), chosen[hit])
-        ids = np.arange(self._next_id, self._next_id + len(new), dtype=np.int64)
-        self._next_id += len(new)
-        self._ids = np.concatenate([self._ids[alive], ids])
-        self._segments = np.concatenate([self._segments[alive], lines.segments[new]])
-        self._descriptors = np.concatenate([self._descriptors[alive], lines.descriptors[new]])
-        self._born = np.concatenate([self._born[alive], np.full(len(new), frame_index)])
-        self._hits = np.concatenate([self._hits[alive], np.ones(len(new), np.int32)])
-        self._missed = np.concatenate([self._missed[alive], np.zeros(len(new), np.int32)])
-        return np.concatenate([chosen[alive], new])
+    def _predict(self, tracks: TrackTable, image: WorkingImage) -> Prediction:
+        before = image if self._image is None else self._image
+        prediction = predict_segments(before, image, tracks.segments, tracks.visible, self._motion)
+        self._motion = prediction.homography
+        return prediction
 
-    def _tracks(self, frame: Frame, lines: LineSet, line_of: NDArray[np.int32], reset: str | None) -> LineTracks:
-        seen = line_of >= 0
-        confirmed = self._hits[seen] >= self.config.confirm_hits
+    def _moved(self, tracks: TrackTable, prediction: Prediction, size: tuple[int, int]) -> TrackTable:
+        """The tracks at their predicted places; those that have left the image get the length 0."""
+        segments, _ = clip(prediction.segments, size)
+        covariances = predicted_covariances(tracks.covariances, tracks.segments, segments, prediction.followed)
+        return replace(tracks, segments=segments, covariances=covariances, visible=prediction.followed)
+
+    def _pair(self, tracks: TrackTable, seen: Looks) -> Pairs:
+        """The line of each track: first for those seen in the last frame, then for the others."""
+        config = self.config
+        slack = tracks.missed + np.where(tracks.visible, 0, 1)
+        bands = np.minimum(config.band + config.lost_band * slack, config.max_band).astype(np.float32)
+        pairs = np.full(len(tracks), -1, np.int32)
+        for candidates, least in (
+            (tracks.missed == 0, config.min_appearance),
+            (tracks.missed > 0, config.min_appearance_lost),
+        ):
+            free = np.setdiff1d(np.arange(len(seen.segments), dtype=np.int32), pairs)
+            votes = overlap_votes(
+                tracks.take(candidates).looks,
+                seen.take(free),
+                bands[candidates],
+                tracks.seen_parts[candidates],
+                max_angle=np.deg2rad(config.max_angle),
+                min_agreement=config.min_agreement,
+                min_appearance=least,
+            )
+            chosen = assign(votes, config.min_vote)
+            pairs[candidates] = np.append(free, np.int32(-1))[chosen]
+        return pairs
+
+    def _next(
+        self,
+        tracks: TrackTable,
+        pairs: Pairs,
+        seen: Looks,
+        residuals: NDArray[np.float32] | None,
+        frame_index: int,
+        size: tuple[int, int],
+    ) -> tuple[TrackTable, Pairs]:
+        """The tracks after this frame: those that go on, fused with their lines, and new ones; and the line of each."""
+        errors = line_covariances(seen.segments, residuals)
+        hit = pairs >= 0
+        tracks = _updated(tracks, hit, seen.take(pairs[hit]), errors[pairs[hit]], size)
+        observed = seen.segments[pairs[hit]]
+        alive = self._alive(tracks, hit, observed, size)
+        new = np.setdiff1d(np.arange(len(seen.segments), dtype=np.int32), pairs)
+        parent = parents(seen.segments[new], tracks.segments[hit], observed)
+        of_parent = np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)[hit]
+        fragment_of = np.append(of_parent, -1)[parent]
+        begun = new_tracks(self._next_id, frame_index, seen.take(new), errors[new], fragment_of)
+        self._next_id += len(new)
+        return tracks.take(alive).append(begun), np.concatenate([pairs[alive], new])
+
+    def _alive(
+        self, tracks: TrackTable, hit: NDArray[np.bool_], observed: NDArray[np.float32], size: tuple[int, int]
+    ) -> NDArray[np.bool_]:
+        """(N,) mask: seen lately, still in the image, and no piece that is part of its whole line again."""
+        confirmed = tracks.hits >= self.config.confirm_hits
+        patience = np.where(confirmed, self.config.max_missed, self.config.max_missed_tentative)
+        place = np.searchsorted(tracks.ids[hit], tracks.fragment_of)
+        found = np.append(tracks.ids[hit], -2)[place] == tracks.fragment_of
+        whole_again = absorbed(tracks.segments, np.where(found & ~hit, place, -1), observed)
+        left = clip(tracks.segments, size)[1] < MIN_VISIBLE
+        alive: NDArray[np.bool_] = (tracks.missed <= patience) & ~whole_again & (hit | ~left)
+        return alive
+
+    def _result(
+        self,
+        frame: Frame,
+        lines: LineSet,
+        tracks: TrackTable,
+        line_of: Pairs,
+        ended_ids: NDArray[np.int64],
+        reset: str | None,
+    ) -> LineTracks:
+        here = line_of >= 0
+        confirmed = tracks.hits >= self.config.confirm_hits
+        observed = lines.segments[line_of[here]]
+        backwards = _runs_backwards(tracks.segments[here], observed)
+        observed[backwards] = observed[backwards, ::-1]
+        lost = ~here & confirmed
         return LineTracks(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
-            ids=self._ids[seen],
-            segments_px=self._segments[seen],
-            scores=lines.scores[line_of[seen]],
-            descriptors=self._descriptors[seen],
-            states=np.where(confirmed, TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
-            ages=(frame.index - self._born[seen]).astype(np.int32),
-            hits=self._hits[seen],
-            line_indices=line_of[seen],
+            ids=tracks.ids[here],
+            segments_px=tracks.segments[here],
+            observed_px=observed,
+            covariances=with_bias(tracks.covariances[here]),
+            scores=lines.scores[line_of[here]],
+            descriptors=tracks.descriptors[here],
+            states=np.where(confirmed[here], TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
+            ages=(frame.index - tracks.born[here]).astype(np.int32),
+            hits=tracks.hits[here],
+            line_indices=line_of[here],
+            fragment_of=tracks.fragment_of[here],
+            lost_ids=tracks.ids[lost],
+            lost_segments_px=tracks.segments[lost],
+            ended_ids=ended_ids,
             camera=frame.camera,
             reset=reset,
         )
+
+
+def _updated(
+    tracks: TrackTable, hit: NDArray[np.bool_], lines: Looks, errors: NDArray[np.float32], size: tuple[int, int]
+) -> TrackTable:
+    """The tracks with one more frame; those that were hit are fused with their lines."""
+    backwards = _runs_backwards(tracks.segments[hit], lines.segments)
+    observed, profiles = lines.segments.copy(), lines.profiles.copy()
+    observed[backwards], profiles[backwards] = observed[backwards, ::-1], profiles[backwards, ::-1]
+    segments, covariances = fuse(tracks.segments[hit], tracks.covariances[hit], observed, errors, size)
+    fused = {
+        "segments": segments,
+        "parts": along(segments, observed),
+        "covariances": covariances,
+        "descriptors": lines.descriptors,
+        "profiles": MEMORY * tracks.profiles[hit] + (1 - MEMORY) * profiles,
+    }
+    return replace(
+        tracks.with_rows(hit, fused),
+        hits=(tracks.hits + hit).astype(np.int32),
+        missed=np.where(hit, 0, tracks.missed + 1).astype(np.int32),
+        visible=hit,
+    )
+
+
+def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines: int) -> str | None:
+    """Why this image shows another scene, if it does: nothing flows there, and hardly a track goes on."""
+    if min(visible.sum(), lines) < CUT_LEAST or trusted >= CUT_FLOW:
+        return None
+    share = (pairs[visible] >= 0).mean()
+    return f"scene cut: {100 * share:.0f} % of the tracks go on" if share <= CUT_TRACKS else None
+
+
+def along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, K) places of (N, K, 2) points along (N, 2, 2) segments, from 0 at the start to 1 at the end."""
+    delta = segments[:, None, 1] - segments[:, None, 0]
+    dots = ((points - segments[:, :1]) * delta).sum(axis=2)
+    return np.asarray(dots / np.maximum((delta * delta).sum(axis=2), 1e-6))
 
 
 def _runs_backwards(reference: NDArray[np.float32], segments: NDArray[np.float32]) -> NDArray[np.bool_]:

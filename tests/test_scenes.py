@@ -19,7 +19,7 @@ from airline.scenes.paths import rotation
 from airline.scenes.primitives import WORLD, Light, Scene, SceneBuilder, Walk, merge_collinear
 from airline.scenes.sequence import build_scene, render_scene
 
-KINDS = ("indoor", "street")
+KINDS = ("indoor", "street", "shelves")
 SIZES = ((64, 64), (640, 480), (1280, 720), (333, 217))
 
 

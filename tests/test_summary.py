@@ -37,12 +37,15 @@ def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> FrameResu
         stamp_ns=0,
         ids=np.arange(count),
         segments_px=rows(count, 2, 2),
+        observed_px=rows(count, 2, 2),
+        covariances=rows(count, 2, 2),
         scores=rows(count),
         descriptors=rows(count, 6),
         states=rows(count, kind=np.uint8),
         ages=rows(count, kind=np.int32),
         hits=np.array(hits, np.int32),
         line_indices=rows(count, kind=np.int32),
+        fragment_of=rows(count, kind=np.int64),
     )
     return FrameResult(Frame(0, 0, IMAGE), trace, tracks, MappingProxyType(stage_ms))
 

@@ -15,25 +15,38 @@ from airline.scenes.primitives import Frame, SceneBuilder
 Item = Callable[[SceneBuilder, Frame, float, float, np.random.Generator], None]
 
 
-def _wood(rng: np.random.Generator) -> Material:
+def wood_finish(rng: np.random.Generator) -> Material:
     tone = rng.uniform(0.12, 0.6)
     return finish(
         rng, "wood", (tone * rng.uniform(0.3, 0.6), tone * rng.uniform(0.6, 0.75), tone), rng.uniform(0.5, 1.2), 0.18
     )
 
 
-def _paint(rng: np.random.Generator, low: float = 0.08, high: float = 0.8) -> Material:
+def paint_finish(rng: np.random.Generator, low: float = 0.08, high: float = 0.8) -> Material:
     return finish(rng, "plaster", colour(rng, (low, high), (0.0, 0.6)), 0.7, 0.06)
 
 
 def bookcase(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """Shelves full of books, the repeated structure that trackers confuse."""
-    depth, thick, top = rng.uniform(0.26, 0.36), 0.03, min(height - 0.15, rng.uniform(1.5, 2.3))
-    wood, back = _wood(rng), _paint(rng, 0.05, 0.3)
+    depth, top = rng.uniform(0.26, 0.36), min(height - 0.15, rng.uniform(1.5, 2.3))
+    wood, back = wood_finish(rng), paint_finish(rng, 0.05, 0.3)
+    filled_case(b, f, (width, depth, top), (wood, back), int(rng.integers(4, 7)), rng)
+
+
+def filled_case(
+    b: SceneBuilder,
+    f: Frame,
+    size: tuple[float, float, float],
+    finishes: tuple[Material, Material],
+    boards: int,
+    rng: np.random.Generator,
+) -> None:
+    """A bookcase of a given width, depth and height, finish of wood and back, and number of boards; books by chance."""
+    (width, depth, top), (wood, back), thick = size, finishes, 0.03
     b.box(f, (0, 0, 0), (thick, depth, top), wood, "xXYZ")
     b.box(f, (width - thick, 0, 0), (width, depth, top), wood, "xXYZ")
     b.quad(f, (width - thick, 0.01, 0), (2 * thick - width, 0, 0), (0, 0, top), back, "")
-    levels = np.linspace(0.06, top - thick, int(rng.integers(4, 7)))
+    levels = np.linspace(0.06, top - thick, boards)
     for z in levels:
         b.box(f, (thick, 0, z), (width - thick, depth - 0.01, z + thick), wood, "YzZ")
     for z, above in zip(levels[:-1] + thick, levels[1:], strict=True):
@@ -57,7 +70,7 @@ def _books(b: SceneBuilder, f: Frame, width: float, depth: float, height: float,
 
 def hanging_shelves(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """One or two boards with books high on the wall."""
-    wood, z = _wood(rng), 1.45
+    wood, z = wood_finish(rng), 1.45
     while z + 0.6 < height:
         b.box(f, (0, 0, z), (width, 0.25, z + 0.03), wood, "xXYzZ")
         for x in (0.15 * width, 0.85 * width):
@@ -78,11 +91,13 @@ def poster(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rando
         w, h = each * rng.uniform(0.5, 0.85), rng.uniform(0.4, min(0.9, height - 1.5))
         x, z = k * each + (each - w) / 2, rng.uniform(1.15, height - h - 0.3)
         bar = rng.uniform(0.02, 0.06)
-        b.box(f, (x, 0, z), (x + w, 0.025, z + h), _paint(rng, 0.03, 0.9))
+        b.box(f, (x, 0, z), (x + w, 0.025, z + h), paint_finish(rng, 0.03, 0.9))
         first, second = colour(rng, (0.03, 0.3), (0.2, 0.9)), colour(rng, (0.5, 0.95), (0.1, 0.8))
         picture = finish(rng, str(rng.choice(["blobs", "patches"])), first, rng.uniform(0.5, 1.1))
         picture = Material(picture.texture, first, second, picture.tile)
-        b.quad(f, (x + w - bar, 0.029, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), _paint(rng, 0.75, 0.95))
+        b.quad(
+            f, (x + w - bar, 0.029, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), paint_finish(rng, 0.75, 0.95)
+        )
         bar += 0.06
         b.quad(f, (x + w - bar, 0.033, z + bar), (2 * bar - w, 0, 0), (0, 0, h - 2 * bar), picture)
 
@@ -90,8 +105,8 @@ def poster(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rando
 def cabinet(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A chest with drawers or doors and handles."""
     depth, top = rng.uniform(0.4, 0.6), min(height - 0.2, rng.choice([0.8, 1.1, 1.9]))
-    body, front = _wood(rng), _wood(rng)
-    handle = _paint(rng, 0.02, 0.12) if max(front.high) > 0.35 else _paint(rng, 0.7, 0.9)
+    body, front = wood_finish(rng), wood_finish(rng)
+    handle = paint_finish(rng, 0.02, 0.12) if max(front.high) > 0.35 else paint_finish(rng, 0.7, 0.9)
     b.box(f, (0, 0, 0), (width, depth, top), body, "xXYZ")
     columns, rows = max(1, round(width / rng.uniform(0.4, 0.7))), int(rng.integers(1, 5))
     w, h = width / columns, (top - 0.1) / rows
@@ -129,12 +144,12 @@ def _clutter(b: SceneBuilder, f: Frame, width: float, depth: float, rng: np.rand
 def desk(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A table with legs, a screen and clutter."""
     depth, top, thick = rng.uniform(0.6, 0.8), rng.uniform(0.7, 0.78), 0.035
-    wood, legs = _wood(rng), _paint(rng, 0.05, 0.7)
+    wood, legs = wood_finish(rng), paint_finish(rng, 0.05, 0.7)
     b.box(f, (0, 0.02, top - thick), (width, depth, top), wood)
     for x in (0.04, width - 0.09):
         for y in (0.05, depth - 0.09):
             b.box(f, (x, y, 0), (x + 0.05, y + 0.05, top - thick), legs, "xXyY")
-    frame, screen = _paint(rng, 0.02, 0.08), finish(rng, "blobs", colour(rng, (0.4, 0.8), (0.1, 0.6)), 0.5, 0.5)
+    frame, screen = paint_finish(rng, 0.02, 0.08), finish(rng, "blobs", colour(rng, (0.4, 0.8), (0.1, 0.6)), 0.5, 0.5)
     w, x = min(0.6, 0.5 * width), rng.uniform(0.1, 0.4 * width)
     b.box(f, (x, 0.15, top + 0.1), (x + w, 0.18, top + 0.1 + 0.6 * w), frame)
     b.quad(f, (x + w - 0.02, 0.184, top + 0.12), (0.04 - w, 0, 0), (0, 0, 0.6 * w - 0.04), screen)
@@ -165,7 +180,7 @@ def cartons(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rand
 
 def radiator(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A ribbed heater with its two pipes."""
-    body, dark = _paint(rng, 0.6, 0.85), _paint(rng, 0.1, 0.3)
+    body, dark = paint_finish(rng, 0.6, 0.85), paint_finish(rng, 0.1, 0.3)
     w = min(width - 0.25, rng.uniform(0.8, 1.4))
     b.box(f, (0, 0.03, 0.14), (w, 0.06, 0.72), dark, "xXYzZ")
     rib = rng.uniform(0.06, 0.1)
@@ -181,20 +196,22 @@ def pipes(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random
     x = 0.1
     while x < width - 0.1:
         radius = rng.uniform(0.025, 0.09)
-        b.pipe(f, (x + radius, radius + 0.03, 0), (x + radius, radius + 0.03, height), radius, _paint(rng, 0.1, 0.8))
+        b.pipe(
+            f, (x + radius, radius + 0.03, 0), (x + radius, radius + 0.03, height), radius, paint_finish(rng, 0.1, 0.8)
+        )
         x += 2 * radius + rng.uniform(0.05, 0.3)
 
 
 def stairs(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A flight of steps along the wall, with a rail."""
     rise, run, deep = rng.uniform(0.16, 0.19), rng.uniform(0.25, 0.3), rng.uniform(0.7, 0.9)
-    tread, riser = _wood(rng), _paint(rng, 0.5, 0.85)
+    tread, riser = wood_finish(rng), paint_finish(rng, 0.5, 0.85)
     count = min(int(width / run), int((height - 1.0) / rise))
     for k in range(count):
         x = k * run
         b.box(f, (x, 0, 0), (x + run, deep, (k + 1) * rise - 0.04), riser, "xY" if k < count - 1 else "xXY")
         b.box(f, (x - 0.02, 0, (k + 1) * rise - 0.04), (x + run, deep + 0.02, (k + 1) * rise), tread, "xYzZ")
-    rail = _paint(rng, 0.03, 0.15)
+    rail = paint_finish(rng, 0.03, 0.15)
     for k in range(count):
         x, z = (k + 0.5) * run, (k + 1) * rise
         b.box(f, (x, deep - 0.06, z), (x + 0.025, deep - 0.035, z + 0.8), rail, "xXyY")
@@ -208,8 +225,8 @@ def stairs(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rando
 def lockers(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A row of narrow metal doors with slots."""
     top, depth = min(1.9, height - 0.3), 0.45
-    first, second = _paint(rng, 0.15, 0.4), _paint(rng, 0.5, 0.75)
-    dark = _paint(rng, 0.02, 0.06)
+    first, second = paint_finish(rng, 0.15, 0.4), paint_finish(rng, 0.5, 0.75)
+    dark = paint_finish(rng, 0.02, 0.06)
     count = max(2, round(width / 0.38))
     w = width / count
     for k in range(count):
@@ -222,7 +239,7 @@ def lockers(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.rand
 
 def board(b: SceneBuilder, f: Frame, width: float, height: float, rng: np.random.Generator) -> None:
     """A white or black board with notes on it."""
-    rim = _paint(rng, 0.2, 0.4)
+    rim = paint_finish(rng, 0.2, 0.4)
     white = rng.random() < 0.5
     face = finish(rng, "marble", (0.85, 0.85, 0.85) if white else (0.04, 0.06, 0.04), 1.5, 0.08)
     b.box(f, (0, 0, 0.85), (width, 0.03, 1.95), rim, "xXYzZ")

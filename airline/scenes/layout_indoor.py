@@ -21,8 +21,8 @@ def indoor_scene(rng: np.random.Generator) -> Scene:
         length, width = rng.uniform(6, 9), rng.uniform(5, 7.5)
     height = rng.uniform(2.5, 3.3)
     b = SceneBuilder()
-    _floor(b, length, width, rng)
-    _ceiling(b, length, width, height, rng)
+    tiled_floor(b, length, width, rng)
+    lit_ceiling(b, length, width, height, rng)
     paint = colour(rng, (0.35, 0.7), (0.02, 0.3))
     texture = str(rng.choice(["plaster", "plaster", "brick", "stone", "patches"]))
     contrast = {"plaster": 0.08, "brick": 0.2, "stone": 0.2, "patches": 0.08}[texture]
@@ -48,10 +48,11 @@ def indoor_scene(rng: np.random.Generator) -> Scene:
     heading = 0.0 if corridor else rng.uniform(0, 2 * np.pi)
     eye = rng.uniform(1.35, 1.65)
     walk = Walk((length / 2, width / 2, eye), (reach_x, reach_y, 0.08), heading, 0.55 if corridor else 1.2)
-    return b.build(_light(rng, length, width), walk, np.ones((2, 3), np.float32))
+    return b.build(room_light(rng, length, width), walk, np.ones((2, 3), np.float32))
 
 
-def _light(rng: np.random.Generator, length: float, width: float) -> Light:
+def room_light(rng: np.random.Generator, length: float, width: float) -> Light:
+    """Soft light from a random side, with a fall-off across the room."""
     turn, ambient = rng.uniform(0, 2 * np.pi), rng.uniform(0.65, 0.8)
     direction = np.array([0.7 * np.cos(turn), 0.7 * np.sin(turn), 0.3])
     direction /= np.linalg.norm(direction)
@@ -59,7 +60,8 @@ def _light(rng: np.random.Generator, length: float, width: float) -> Light:
     return Light(direction, ambient, 1.1 - ambient, gradient)
 
 
-def _floor(b: SceneBuilder, length: float, width: float, rng: np.random.Generator) -> None:
+def tiled_floor(b: SceneBuilder, length: float, width: float, rng: np.random.Generator) -> None:
+    """A floor of tiles, planks or carpet on the ground from (0, 0) to (length, width)."""
     kind = rng.choice(["tiles", "planks", "plain"], p=[0.5, 0.38, 0.12])
     base = colour(rng, (0.2, 0.5), (0.1, 0.5))
     if kind == "plain":
@@ -82,7 +84,8 @@ def _floor(b: SceneBuilder, length: float, width: float, rng: np.random.Generato
             b.quad(WORLD, (x, y, 0), (length / nx, 0, 0), (0, width / ny, 0), tile, shift=tuple(rng.random(2)))
 
 
-def _ceiling(b: SceneBuilder, length: float, width: float, height: float, rng: np.random.Generator) -> None:
+def lit_ceiling(b: SceneBuilder, length: float, width: float, height: float, rng: np.random.Generator) -> None:
+    """A ceiling over (0, 0) to (length, width) with lamps, and by chance panels, beams and pipes."""
     white = finish(rng, "plaster", (0.7, 0.72, 0.75), 1.5, 0.05)
     if rng.random() < 0.5:
         nx, ny = round(length / 0.9), round(width / 0.9)

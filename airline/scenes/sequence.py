@@ -16,13 +16,14 @@ from airline.errors import ConfigError
 from airline.scenes import raster, visibility
 from airline.scenes.effects import CLEAN, CameraEffects, blur_rotation, develop, exposure_at
 from airline.scenes.layout_indoor import indoor_scene
+from airline.scenes.layout_shelves import shelves_scene
 from airline.scenes.layout_street import street_scene
 from airline.scenes.paths import motion, pose_at
 from airline.scenes.primitives import Scene
 from airline.scenes.textures import texture_bank
 
 FRAMES_PER_SECOND = 30
-_LAYOUTS = {"indoor": indoor_scene, "street": street_scene}
+_LAYOUTS = {"indoor": indoor_scene, "street": street_scene, "shelves": shelves_scene}
 
 
 @dataclass(frozen=True)
@@ -56,13 +57,15 @@ class Sequence:
     """A generated video; making one is cheap, and `render(i)` depends on the fields and `i` alone.
 
     Attributes:
-        kind: "indoor" or "street".
+        kind: "indoor", "street" or "shelves".
         motion: "static", "slow", "handheld" or "fast".
         seed: chooses the scene, the path and the noise.
         frames: length, at 30 frames per second.
         size: (width, height), px.
         effects: the camera's imperfections; None for the clean image. The ground truth does not depend on it.
         min_contrast: lines whose sides differ by less in the clean image are not ground truth, grey levels.
+        merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are, so that it can be
+            told where a detection may be either.
     """
 
     kind: str = "indoor"
@@ -72,6 +75,7 @@ class Sequence:
     size: tuple[int, int] = (640, 480)
     effects: CameraEffects | None = field(default_factory=CameraEffects)
     min_contrast: float = 12.0
+    merge_doubles: bool = True
 
     def __post_init__(self) -> None:
         if self.kind not in _LAYOUTS:
@@ -107,7 +111,8 @@ class Sequence:
             raise IndexError(f"frame {i} of a sequence of {self.frames}")
         stamp = round(i * 1_000_000_000 / FRAMES_PER_SECOND)
         K, pose = self.K, self.pose(i)
-        linear, clean = render_scene(build_scene(self.kind, self.seed), pose, K, self.size, self.min_contrast)
+        scene = build_scene(self.kind, self.seed)
+        linear, clean = render_scene(scene, pose, K, self.size, self.min_contrast, self.merge_doubles)
         if self.effects is None:
             return replace(clean, stamp_ns=stamp)
         blurred = blur_rotation(linear, K, self._turns(self.effects, i))
@@ -132,7 +137,12 @@ def build_scene(kind: str, seed: int) -> Scene:
 
 
 def render_scene(
-    scene: Scene, pose: NDArray[np.float64], K: NDArray[np.float64], size: tuple[int, int], min_contrast: float
+    scene: Scene,
+    pose: NDArray[np.float64],
+    K: NDArray[np.float64],
+    size: tuple[int, int],
+    min_contrast: float,
+    merge_doubles: bool = True,
 ) -> tuple[NDArray[np.float32], RenderedView]:
     """The clean view of a scene.
 
@@ -142,6 +152,7 @@ def render_scene(
         K: (3, 3) intrinsic matrix with square pixels, px.
         size: (width, height), px.
         min_contrast: least difference between the two sides of a line, grey levels of the clean image.
+        merge_doubles: keep only the longest of lines closer than 1.5 px.
 
     Returns:
         (H, W, 3) float32 linear BGR image, and the view at time 0 with that image under a plain display curve.
@@ -163,7 +174,7 @@ def render_scene(
     rows, pieces = visibility.remove_hidden(points, inverse, bounds, depths, focal, cx, cy)
     ids, pieces = visibility.keep_contrast(ids[rows], pieces, grey, min_contrast, focal, cx, cy)
     pixels = (focal * pieces[:, :, :2] / pieces[:, :, 2:] + K[:2, 2]).astype(np.float32)
-    keep = visibility.drop_doubles(pixels)
+    keep = visibility.drop_doubles(pixels) if merge_doubles else np.ones(len(pixels), np.bool_)
     world = pieces[keep] @ pose[:3, :3].T + pose[:3, 3]
     return linear, RenderedView(image, depth, pixels[keep], world, ids[keep], K, pose, 0)
 

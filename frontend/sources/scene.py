@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from airline.scenes import Sequence, render_sequence
+from airline.scenes import RenderedView, Sequence, render_sequence
 from frontend.camera import CameraModel
 from frontend.frame import Frame
+
+
+def frame_of(index: int, view: RenderedView) -> Frame:
+    """A rendered view as a frame with its camera."""
+    height, width = view.depth.shape
+    fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
+    return Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
 
 
 class SceneSource:
@@ -33,9 +40,7 @@ class SceneSource:
 
     def __iter__(self) -> Iterator[Frame]:
         for index, view in enumerate(render_sequence(self._sequence, workers=2)):
-            height, width = view.depth.shape
-            fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
-            yield Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
+            yield frame_of(index, view)
 
     def close(self) -> None:
         """Nothing to release."""

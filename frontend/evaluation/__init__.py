@@ -1,0 +1,1 @@
+"""Measuring trackers against known identities; `python -m frontend.evaluate` is its command."""

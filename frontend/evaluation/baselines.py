@@ -1,0 +1,186 @@
+"""Simple trackers to compare with: nearest neighbour by geometry, and optical flow of three points per line.
+
+Their constants were chosen on rendered sequences that the evaluation does not contain.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from airline.image import to_gray, to_uint8
+from airline.lines import LineSet
+from frontend.evaluation.record import Tracked
+from frontend.frame import Frame
+
+Segments = NDArray[np.float32]
+
+MAX_MISSED = 5  # frames in a row without a line before a track ends
+MIN_COSINE = float(np.cos(np.deg2rad(12.0)))
+MIN_OVERLAP = 0.3
+OVERLAP_WORTH = 5.0  # px of distance that full overlap makes up for
+SMOOTHING = 0.8  # weight of the newest shift in a velocity
+FLOW: dict[str, Any] = {
+    "winSize": (31, 31),
+    "maxLevel": 3,
+    "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.03),
+}
+MAX_ROUND_TRIP = 1.0  # px, forward-backward error
+_PLACES = np.array([-0.5, 0.0, 0.5])  # start, mid-point and end along a line
+
+
+class NearestTracker:
+    """Each track moves on with its own velocity across the line and takes the nearest line, one to one.
+
+    Along the line its mid-point jumps whenever an end does, so there it moves as most tracks do; and so do new tracks,
+    without which fast motion would leave no track to begin with.
+    """
+
+    def __init__(self) -> None:
+        self._tracks = _Tracks(max_distance=7.0)
+        self._velocities = np.zeros((0, 2))
+        self._common = np.zeros(2)
+
+    def update(self, frame: Frame, lines: LineSet) -> Tracked:
+        """Take the lines of the next frame."""
+        before, ids = self._tracks.segments, self._tracks.ids
+        own = self._velocities - self._common
+        across = (before[:, 1] - before[:, 0])[:, ::-1] * (-1, 1)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        motion = self._common + (own * across).sum(axis=1, keepdims=True) * across
+        tracked = self._tracks.update((before + motion[:, None]).astype(np.float32), lines.segments)
+        _, old, now = np.intersect1d(ids, tracked.ids, assume_unique=True, return_indices=True)
+        shift = tracked.segments_px[now].mean(axis=1) - before[old].mean(axis=1)
+        self._velocities[old] += SMOOTHING * (shift - self._velocities[old])
+        self._common = np.median(shift, axis=0) if len(shift) else np.zeros(2)
+        velocities = np.tile(self._common, (len(self._tracks.ids), 1))
+        _, old, now = np.intersect1d(ids, self._tracks.ids, assume_unique=True, return_indices=True)
+        velocities[now] = self._velocities[old]
+        self._velocities = velocities
+        return tracked
+
+
+class FlowTracker:
+    """Pyramidal Lucas-Kanade flow (Bouguet 2001) moves ends and mid-point; the nearest line is taken, one to one."""
+
+    def __init__(self) -> None:
+        self._tracks = _Tracks(max_distance=2.0)
+        self._image: NDArray[np.uint8] | None = None
+
+    def update(self, frame: Frame, lines: LineSet) -> Tracked:
+        """Take the lines of the next frame."""
+        image = to_uint8(to_gray(frame.image))
+        predicted = self._tracks.segments
+        if self._image is not None and len(predicted):
+            predicted = _follow(self._image, image, predicted)
+        self._image = image
+        return self._tracks.update(predicted, lines.segments)
+
+
+class _Tracks:
+    """Ids, ascending, and last segments of the living tracks, seen or predicted."""
+
+    def __init__(self, max_distance: float) -> None:
+        self.ids = np.zeros(0, np.int64)
+        self.segments: Segments = np.zeros((0, 2, 2), np.float32)
+        self._max_distance = max_distance
+        self._missed = np.zeros(0, np.int64)
+        self._next_id = 0
+
+    def update(self, predicted: Segments, lines: Segments) -> Tracked:
+        """Assign the lines to the tracks, end old tracks and begin new ones.
+
+        Args:
+            predicted: (N, 2, 2) px where each track should be, in the order of `ids`.
+            lines: (M, 2, 2) px.
+        """
+        rows, columns = nearest_pairs(predicted, lines, self._max_distance)
+        matched = lines[columns]
+        turned = ((matched[:, 1] - matched[:, 0]) * (predicted[rows, 1] - predicted[rows, 0])).sum(axis=1) < 0
+        matched[turned] = matched[turned, ::-1]
+        segments, missed, line_of = predicted.copy(), self._missed + 1, np.full(len(self.ids), -1, np.int32)
+        segments[rows], missed[rows], line_of[rows] = matched, 0, columns
+        new = np.setdiff1d(np.arange(len(lines), dtype=np.int32), columns)
+        alive = missed <= MAX_MISSED
+        self.ids = np.concatenate([self.ids[alive], np.arange(self._next_id, self._next_id + len(new))])
+        self.segments = np.concatenate([segments[alive], lines[new]])
+        self._missed = np.concatenate([missed[alive], np.zeros(len(new), np.int64)])
+        self._next_id += len(new)
+        line_of = np.concatenate([line_of[alive], new])
+        seen = line_of >= 0
+        return Tracked(self.ids[seen], line_of[seen], self.segments[seen], np.full(int(seen.sum()), -1, np.int64))
+
+
+def nearest_pairs(
+    predicted: Segments, lines: Segments, max_distance: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the one-to-one pairs, as many as the gates allow, whose total cost is least.
+
+    The cost of a pair is the mean distance of the four end points to the other's infinite line, plus what overlap (the
+    share of a line that the other covers along it, mean of both) is missing; distance, overlap and angle have gates.
+    """
+    forbidden = 1e3 * (max_distance + OVERLAP_WORTH)
+    costs = _costs(predicted, lines, max_distance, forbidden)
+    rows, columns = linear_sum_assignment(costs)
+    pairs = costs[rows, columns] < forbidden
+    return rows[pairs], columns[pairs]
+
+
+@njit(cache=True, nogil=True)
+def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untyped-def]
+    costs = np.full((len(predicted), len(lines)), forbidden)
+    for i in range(len(predicted)):
+        for j in range(len(lines)):
+            distance_i, overlap_i, cosine = _lay(predicted[i], lines[j])
+            if cosine < MIN_COSINE or distance_i > 2 * max_distance:
+                continue
+            distance_j, overlap_j, _ = _lay(lines[j], predicted[i])
+            distance, overlap = 0.5 * (distance_i + distance_j), 0.5 * (overlap_i + overlap_j)
+            if distance <= max_distance and overlap >= MIN_OVERLAP:
+                costs[i, j] = distance + OVERLAP_WORTH * (1 - overlap)
+    return costs
+
+
+@njit(cache=True, nogil=True)
+def _lay(one, other):  # type: ignore[no-untyped-def]
+    """Mean distance of the ends of one line to another, share of the other that it covers, cosine between both."""
+    ux, uy = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1]
+    vx, vy = one[1, 0] - one[0, 0], one[1, 1] - one[0, 1]
+    length, own_length = np.hypot(ux, uy), np.hypot(vx, vy)
+    if length == 0 or own_length == 0:
+        return np.inf, 0.0, 0.0
+    ux, uy = ux / length, uy / length
+    away, low, high = 0.0, np.inf, -np.inf
+    for k in range(2):
+        x, y = one[k, 0] - other[0, 0], one[k, 1] - other[0, 1]
+        away += 0.5 * abs(y * ux - x * uy)
+        along = min(max((x * ux + y * uy) / length, 0.0), 1.0)
+        low, high = min(low, along), max(high, along)
+    return away, high - low, abs(ux * vx + uy * vy) / own_length
+
+
+def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], segments: Segments) -> Segments:
+    """Segments moved by the flow of those of their points that pass the forward-backward check.
+
+    Three points or two give shift and turn, one gives the shift, and without any the line takes the median flow.
+    """
+    points = np.ascontiguousarray(np.stack([segments[:, 0], segments.mean(axis=1), segments[:, 1]], axis=1))
+    start = points.reshape(-1, 1, 2)
+    moved, there, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FLOW)
+    returned, back, _ = cv2.calcOpticalFlowPyrLK(after, before, moved, None, **FLOW)
+    trusted = (there[:, 0] > 0) & (back[:, 0] > 0) & (np.hypot(*(returned - start)[:, 0].T) < MAX_ROUND_TRIP)
+    flow, weight = (moved - start).reshape(points.shape), trusted.reshape(points.shape[:2]).astype(np.float64)
+    count = weight.sum(axis=1)[:, None]
+    common = np.median(flow.reshape(-1, 2)[trusted], axis=0) if trusted.any() else np.zeros(2)
+    mean = np.where(count > 0, np.einsum("np,npc->nc", weight, flow) / np.maximum(count, 1), common)
+    centre = (weight * _PLACES).sum(axis=1)[:, None] / np.maximum(count, 1)
+    arm = weight * (_PLACES - centre)
+    spread = (arm * _PLACES).sum(axis=1)[:, None]
+    slope = np.einsum("np,npc->nc", arm, flow) / np.where(spread > 0, spread, 1)
+    ends = np.stack([mean + (-0.5 - centre) * slope, mean + (0.5 - centre) * slope], axis=1)
+    return np.asarray(segments + ends, np.float32)

@@ -1,0 +1,172 @@
+"""How well a tracker keeps identities, from the records of its run over a clip.
+
+A track is taken for the true line that its detection belongs to; detections without an owner, or with an ambiguous
+one, count for nothing. Only detected lines can be tracked, so all figures are of the tracker and none of the detector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from frontend.evaluation.jitter import jitter
+from frontend.evaluation.record import Record
+
+Figures = dict[str, float | int | None]
+ALIVE = (3, 5, 10)  # frames
+
+
+def score(records: Sequence[Record]) -> Figures:
+    """All figures of a run, as the command's JSON has them; None where nothing is there to be measured.
+
+    Lengths are numbers of frames in which a track, or a true line, was seen; `alive_5` is the share of the tracks
+    that were seen in 5 frames or more. A fragment's frames are those of the track it is a piece of. A track that jumps
+    from line to line lives long, so `pure_length_mean` counts only the frames of a track on its most usual true line.
+    """
+    link, change = links(records), changes(records)
+    lengths, visible = track_lengths(records), _counts([record.detected for record in records])
+    across, along = jitter(records)
+    figures: Figures = {
+        "link_precision": _ratio(link.right, link.right + link.wrong),
+        "link_recall": _ratio(link.found, link.possible),
+        "wrong_links": link.wrong,
+        "idf1": idf1(records),
+        "switches_per_100": _ratio(100 * change.switches, len(records)),
+        "fragments_per_100": _ratio(100 * change.fragments, len(records)),
+        "tracks": len(lengths),
+        "track_length_mean": float(lengths.mean()) if len(lengths) else None,
+        "track_length_median": float(np.median(lengths)) if len(lengths) else None,
+        "pure_length_mean": pure_length(records),
+        "visible_length_mean": float(visible.mean()) if len(visible) else None,
+        **{f"alive_{n}": float((lengths >= n).mean()) if len(lengths) else None for n in ALIVE},
+        "jitter_across_px": across,
+        "jitter_along_px": along,
+        "ms": float(np.median([record.ms for record in records])) if records else None,
+    }
+    return {key: round(value, 4) if isinstance(value, float) else value for key, value in figures.items()}
+
+
+@dataclass(frozen=True)
+class Links:
+    """Counts of links: a track seen in two consecutive frames, with a known true line in both.
+
+    Attributes:
+        right: links whose true line is the same in both frames.
+        wrong: the others.
+        possible: true lines detected in two consecutive frames.
+        found: those of them that a right link holds together.
+    """
+
+    right: int
+    wrong: int
+    possible: int
+    found: int
+
+
+def links(records: Sequence[Record]) -> Links:
+    """Links between all consecutive frames."""
+    right = wrong = possible = found = 0
+    for before, after in pairwise(records):
+        _, rows, later_rows = np.intersect1d(
+            before.tracked.ids, after.tracked.ids, assume_unique=True, return_indices=True
+        )
+        first, second = before.owners[rows], after.owners[later_rows]
+        known = (first >= 0) & (second >= 0)
+        same = known & (first == second)
+        right, wrong = right + int(same.sum()), wrong + int((known & ~same).sum())
+        found += len(np.unique(first[same]))
+        possible += len(np.intersect1d(before.detected, after.detected, assume_unique=True))
+    return Links(right, wrong, possible, found)
+
+
+def idf1(records: Sequence[Record]) -> float | None:
+    """F-score of identities (Ristani et al. 2016): one track for each true line and one true line for each track.
+
+    The truth is every pair of a frame and a true line that is detected in it; the tracker's answer every pair of a
+    frame and a track with a known true line in it. Tracks are mapped to true lines one to one so that most pairs
+    agree. A row with `fragment_of` is an observation of the track it is a piece of: where that track, or another piece
+    of it, already has the true line in the frame, it does not count again. Two tracks on two pieces of one true line
+    that do not say so are two claims, of which one is wrong.
+
+    Returns:
+        2 TP / (truth + answer) in [0, 1]; None where nothing is to be tracked.
+    """
+    truth = sum(len(record.detected) for record in records)
+    claims = _claims(records)
+    if truth == 0:
+        return None
+    tracks, track = np.unique(claims[:, 1], return_inverse=True)
+    lines, line = np.unique(claims[:, 2], return_inverse=True)
+    together = np.zeros((len(tracks), len(lines)))
+    np.add.at(together, (track, line), 1)
+    agreed = together[linear_sum_assignment(together, maximize=True)].sum()
+    return float(2 * agreed / (truth + len(claims)))
+
+
+def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
+    """(K, 3) int64 frame, track and true line, no two rows alike."""
+    claims = [np.zeros((0, 3), np.int64)]
+    for frame, record in enumerate(records):
+        known = record.owners >= 0
+        pairs = np.stack([record.tracked.identities[known], record.owners[known]], axis=1)
+        claims.append(np.unique(np.insert(pairs, 0, frame, axis=1), axis=0))
+    return np.concatenate(claims)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Counts of changes of a true line's track.
+
+    Attributes:
+        switches: the track is another one than in the frame in which the line was last tracked (the mismatches of
+            Bernardin and Stiefelhagen 2008).
+        fragments: those of them where the line was not tracked in between: it was missed or hidden, and came back
+            under another id.
+    """
+
+    switches: int
+    fragments: int
+
+
+def changes(records: Sequence[Record]) -> Changes:
+    """Changes of the main track of every true line: the last one if it still has the line, else the longest."""
+    last: dict[int, tuple[int, int]] = {}  # true line: track, frame
+    switches = fragments = 0
+    for index, record in enumerate(records):
+        holders: dict[int, list[int]] = {}  # true line: its tracks, the longest first
+        delta = record.tracked.segments_px[:, 1] - record.tracked.segments_px[:, 0]
+        for row in np.argsort(-np.hypot(delta[:, 0], delta[:, 1]), kind="stable"):
+            if record.owners[row] >= 0:
+                holders.setdefault(int(record.owners[row]), []).append(int(record.tracked.identities[row]))
+        for line, tracks in holders.items():
+            track, seen = last.get(line, (tracks[0], index))
+            if track not in tracks:
+                switches, fragments = switches + 1, fragments + (seen < index - 1)
+                track = tracks[0]
+            last[line] = (track, index)
+    return Changes(switches, fragments)
+
+
+def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
+    """(T,) int64 number of frames in which each track was seen, itself or in fragments, in the order of the ids."""
+    return _counts([np.unique(record.tracked.identities) for record in records])
+
+
+def pure_length(records: Sequence[Record]) -> float | None:
+    """Mean number of frames in which a track was seen on the true line on which it was seen most; None without any."""
+    pairs, frames = np.unique(_claims(records)[:, 1:], axis=0, return_counts=True)
+    _, start = np.unique(pairs[:, 0], return_index=True)
+    return float(np.maximum.reduceat(frames, start).mean()) if len(start) else None
+
+
+def _counts(ids: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *ids]), return_counts=True)[1]
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None

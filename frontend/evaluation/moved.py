@@ -1,0 +1,189 @@
+"""Photographs moved by smooth homographies: real texture, exact motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import InputError
+from airline.image import to_gray, to_uint8
+from airline.scenes.visibility import MIN_LENGTH
+from frontend.evaluation.clip import Clip, Truth
+from frontend.frame import Frame
+from frontend.opencv import decode_image
+from frontend.sources.layouts import list_images
+
+if TYPE_CHECKING:
+    from airline import AirLine
+
+FRAMES_PER_SECOND = 30
+_VIEW = 0.75  # size of the clip's images over that of the photograph
+_ZOOM = 1.1  # pixels of the view per pixel of the photograph, in the mean
+_SMALLEST = 160  # px; a smaller photograph leaves no room to move in
+
+
+@dataclass(frozen=True)
+class MovedPhoto:
+    """A photograph seen by a moving camera. Lines are those that AirLine finds in the sharp photograph.
+
+    Attributes:
+        name: as the command line and the JSON name it.
+        photo: (H, W) uint8.
+        frames: length, at 30 frames per second.
+        seed: chooses the motion, the light and the noise.
+    """
+
+    name: str
+    photo: NDArray[np.uint8]
+    frames: int
+    seed: int
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
+        lines = _detector()(self.photo).segments
+        for i, homography in enumerate(self.homographies()):
+            truth = moved_lines(lines, homography, self.size)
+            yield Frame(i, round(i * 1_000_000_000 / FRAMES_PER_SECOND), self._image(homography, i)), truth
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the frames, px."""
+        height, width = self.photo.shape
+        return round(_VIEW * width), round(_VIEW * height)
+
+    def homographies(self) -> NDArray[np.float64]:
+        """(F, 3, 3) float64 frame_from_photo; every frame lies inside the photograph."""
+        height, width = self.photo.shape
+        return smooth_homographies((width, height), self.size, self.frames, self.seed)
+
+    def _image(self, homography: NDArray[np.float64], i: int) -> NDArray[np.uint8]:
+        """The photograph through the homography, with blur, gamma and noise that change slowly."""
+        seconds = i / FRAMES_PER_SECOND
+        phase = np.random.default_rng([self.seed, 1]).uniform(0, 2 * np.pi, 2)
+        sigma = 0.55 + 0.25 * np.sin(2 * np.pi * 0.9 * seconds + phase[0])
+        gamma = 2 ** (0.4 * np.sin(2 * np.pi * 0.7 * seconds + phase[1]))
+        seen = cv2.warpPerspective(self.photo, homography, self.size, flags=cv2.INTER_CUBIC)
+        blurred = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), sigma)
+        noise = np.random.default_rng([self.seed, 2, i]).standard_normal(seen.shape, np.float32)
+        bright = 255 * (blurred / 255) ** np.float32(gamma) + 2.5 * noise
+        image: NDArray[np.uint8] = np.clip(np.round(bright), 0, 255).astype(np.uint8)
+        return image
+
+
+def moved_photos(folder: Path, count: int = 6, frames: int = 40) -> list[Clip]:
+    """Clips of photographs spread evenly over a folder in natural order, named after the folder and numbered from 1.
+
+    Args:
+        folder: with at least one image of 160x160 px or more.
+        count: how many; fewer where the folder has fewer.
+        frames: length of each.
+
+    Raises:
+        InputError: there is no such folder, no image in it, or a chosen one is damaged or too small.
+    """
+    paths = [row.path for row in list_images(folder, FRAMES_PER_SECOND)]
+    chosen = np.unique(np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int))
+    label = folder.resolve().name
+    return [MovedPhoto(f"{label}-{k + 1}", _read(paths[row]), frames, k) for k, row in enumerate(chosen)]
+
+
+def smooth_homographies(photo: tuple[int, int], view: tuple[int, int], frames: int, seed: int) -> NDArray[np.float64]:
+    """The image motion of a hand-held camera before a plane: pan, rotation, zoom and perspective, each two slow waves.
+
+    Args:
+        photo, view: (width, height), px; the view is the smaller one.
+        frames: count.
+        seed: chooses the waves.
+
+    Returns:
+        (F, 3, 3) float64 view_from_photo, scaled so that no corner of a view leaves the photograph.
+    """
+    rng = np.random.default_rng([seed, 0])
+    t = np.arange(frames)[:, None]
+    period, phase = rng.uniform((35, 11), (60, 17), (6, 2)), rng.uniform(0, 2 * np.pi, (6, 2))
+    waves = np.sin(2 * np.pi * t[..., None] / period + phase) @ (0.8, 0.2)  # pan x, y; roll; zoom; tilt about y, x
+    waves *= (0.09 * photo[0], 0.09 * photo[1], 0.06, 0.05, 0.05 / view[0], 0.05 / view[1])
+    while True:
+        moves = np.stack([_homography(photo, view, wave) for wave in waves])
+        if _stays_inside(moves, photo, view):
+            return moves
+        waves *= 0.95
+
+
+def _homography(photo: tuple[int, int], view: tuple[int, int], wave: NDArray[np.float64]) -> NDArray[np.float64]:
+    pan_x, pan_y, roll, zoom, tilt_y, tilt_x = wave
+    c, s = _ZOOM * np.exp(zoom) * np.array((np.cos(roll), np.sin(roll)))
+    to_centre = np.array([[1, 0, -(photo[0] - 1) / 2 - pan_x], [0, 1, -(photo[1] - 1) / 2 - pan_y], [0, 0, 1]])
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    tilt = np.array([[1, 0, 0], [0, 1, 0], [tilt_y, tilt_x, 1]])
+    to_corner = np.array([[1, 0, (view[0] - 1) / 2], [0, 1, (view[1] - 1) / 2], [0, 0, 1]])
+    return np.asarray(to_corner @ tilt @ turn @ to_centre)
+
+
+def _stays_inside(moves: NDArray[np.float64], photo: tuple[int, int], view: tuple[int, int]) -> bool:
+    right, bottom = view[0] - 1, view[1] - 1
+    corners = np.array([[0, 0], [right, 0], [0, bottom], [right, bottom]], np.float64)
+    seen = np.stack([transformed(corners, np.linalg.inv(move)) for move in moves])
+    return bool((seen >= 0).all() and (seen <= np.array(photo) - 1).all())
+
+
+def transformed(points: NDArray[np.float64], homography: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., 2) points mapped by a (3, 3) homography."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+
+def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], size: tuple[int, int]) -> Truth:
+    """What the view shows of lines of the photograph.
+
+    Args:
+        lines: (N, 2, 2) px of the photograph.
+        homography: (3, 3) view_from_photo.
+        size: (width, height) of the view, px.
+
+    Returns:
+        The parts between the centres of the outermost pixels that are at least as long as a rendered clip's shortest
+        line; ids are rows of `lines`.
+    """
+    segments = transformed(lines.astype(np.float64), homography)
+    start, delta = segments[:, 0], segments[:, 1] - segments[:, 0]
+    limit = np.array(size) - 1.0
+    # Liang and Barsky: along each axis the line is inside between two parameters.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = -start / delta, (limit - start) / delta
+    parallel = delta == 0
+    inside = (start >= 0) & (start <= limit)
+    low = np.where(parallel, np.where(inside, 0.0, 2.0), np.minimum(first, second)).max(axis=1).clip(min=0)
+    high = np.where(parallel, 1.0, np.maximum(first, second)).min(axis=1).clip(max=1)
+    kept = np.flatnonzero((high - low) * np.hypot(delta[:, 0], delta[:, 1]) >= MIN_LENGTH)
+    ends = np.stack([low, high], axis=1)[kept, :, None]
+    return Truth((start[kept, None] + ends * delta[kept, None]).astype(np.float32), kept.astype(np.int64))
+
+
+def _read(path: Path) -> NDArray[np.uint8]:
+    try:
+        image = decode_image(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read '{path}': {error}") from error
+    if image is None:
+        raise InputError(f"'{path}' is no image that can be read: remove it from the folder")
+    if min(image.shape[:2]) < _SMALLEST:
+        size = f"{image.shape[1]}x{image.shape[0]}"
+        raise InputError(f"'{path}' has {size} px: a photograph to move needs at least {_SMALLEST}x{_SMALLEST}")
+    return to_uint8(to_gray(image))
+
+
+@lru_cache(maxsize=1)
+def _detector() -> AirLine:
+    from airline import AirLine
+
+    return AirLine()

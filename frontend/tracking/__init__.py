@@ -1,0 +1,1 @@
+"""The tracker's parts: `motion` predicts, `overlap` votes, `assignment` pairs, `fusion` updates, `table` remembers."""

@@ -1,0 +1,96 @@
+"""Which track goes on with which line: the one-to-one pairs with the most votes in total."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+def assign(votes: NDArray[np.float32], least: float) -> NDArray[np.int32]:
+    """The one-to-one pairs whose votes add up to the most.
+
+    Few lines lie near a track, so the pairs fall apart into small groups that share no track and no line. Each group is
+    solved to its optimum by shortest augmenting paths (the Hungarian method after Jonker and Volgenant 1987).
+
+    Args:
+        votes: (N, M) float32.
+        least: pairs with fewer votes do not exist.
+
+    Returns:
+        (N,) int32 column of each row, or -1.
+    """
+    chosen: NDArray[np.int32] = _assign(votes, least)
+    return chosen
+
+
+@njit(cache=True, nogil=True)
+def _assign(votes, least):  # type: ignore[no-untyped-def]
+    n, m = votes.shape
+    chosen = np.full(n, -1, np.int32)
+    row_seen, column_seen = np.zeros(n, np.bool_), np.zeros(m, np.bool_)
+    rows, columns = np.empty(n, np.int64), np.empty(m, np.int64)
+    for first in range(n):
+        if row_seen[first]:
+            continue
+        # the group of `first`: rows and columns reachable over existing pairs
+        rows[0], row_count, column_count, reached = first, 1, 0, 0
+        row_seen[first] = True
+        while reached < row_count:
+            i = rows[reached]
+            reached += 1
+            for j in range(m):
+                if votes[i, j] >= least and not column_seen[j]:
+                    column_seen[j] = True
+                    columns[column_count] = j
+                    column_count += 1
+                    for k in range(n):
+                        if votes[k, j] >= least and not row_seen[k]:
+                            row_seen[k] = True
+                            rows[row_count] = k
+                            row_count += 1
+        if column_count:
+            _solve(votes, least, rows[:row_count], columns[:column_count], chosen)
+    return chosen
+
+
+@njit(cache=True, nogil=True)
+def _solve(votes, least, rows, columns, chosen):  # type: ignore[no-untyped-def]
+    """Assign one group; a row may also take a column of its own that costs nothing and means no pair."""
+    n, m = len(rows), len(columns)
+    cost = np.zeros((n, m + n))
+    for a in range(n):
+        for b in range(m):
+            vote = votes[rows[a], columns[b]]
+            cost[a, b] = -vote if vote >= least else 1.0
+    row_price, column_price = np.zeros(n), np.zeros(m + n + 1)
+    owner = np.full(m + n + 1, -1, np.int64)  # row of each column; the last column is where a search starts
+    before = np.empty(m + n, np.int64)
+    for a in range(n):
+        owner[m + n] = a
+        column = m + n
+        slack = np.full(m + n, np.inf)
+        used = np.zeros(m + n + 1, np.bool_)
+        while owner[column] >= 0:
+            used[column] = True
+            row, least_slack, following = owner[column], np.inf, -1
+            for b in range(m + n):
+                if not used[b]:
+                    reduced = cost[row, b] - row_price[row] - column_price[b]
+                    if reduced < slack[b]:
+                        slack[b], before[b] = reduced, column
+                    if slack[b] < least_slack:
+                        least_slack, following = slack[b], b
+            for b in range(m + n + 1):
+                if used[b]:
+                    row_price[owner[b]] += least_slack
+                    column_price[b] -= least_slack
+                elif b < m + n:
+                    slack[b] -= least_slack
+            column = following
+        while column != m + n:
+            owner[column] = owner[before[column]]
+            column = before[column]
+    for b in range(m):
+        if owner[b] >= 0:
+            chosen[rows[owner[b]]] = columns[b]

@@ -1,0 +1,50 @@
+"""Settings of the tracker."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from airline.errors import ConfigError
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+Cosine = Annotated[float, Meta(ge=-1, le=1)]
+
+
+class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the tracker.
+
+    Attributes:
+        confirm_hits: a track is confirmed when it was seen in this many frames.
+        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row,
+        max_missed_tentative: and a tentative one after this many.
+        band: a line may be this far from where its track is predicted, px, where flow moved the track,
+        lost_band: and so much farther for each frame that it was missed, and where flow did not move it,
+        max_band: up to this.
+        max_angle: a track and its line may differ in direction by this much, degrees.
+        min_agreement: least dot product of the orientation descriptors of a track and its line.
+        min_appearance: least dot product of the grey profiles across a track and its line,
+        min_appearance_lost: and of a track that was missed.
+        min_vote: least vote (overlap x closeness x agreement) of a pair.
+        max_gap_s: a longer gap between two frames ends all tracks, seconds.
+    """
+
+    confirm_hits: int = 3
+    max_missed: int = 30
+    max_missed_tentative: int = 10
+    band: float = 2.5
+    lost_band: float = 1.0
+    max_band: float = 10.0
+    max_angle: Annotated[float, Meta(gt=0, le=90)] = 20.0
+    min_agreement: Cosine = 0.5
+    min_appearance: Cosine = -0.3
+    min_appearance_lost: Cosine = 0.3
+    min_vote: Share = 0.15
+    max_gap_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.lost_band) < 0:
+            raise ConfigError("tracker needs confirm_hits >= 1, and max_missed and lost_band of at least 0")
+        if self.band <= 0 or self.max_band < self.band or self.max_gap_s <= 0:
+            raise ConfigError("tracker needs band > 0, max_band >= band and max_gap_s > 0")

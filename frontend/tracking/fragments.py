@@ -1,0 +1,80 @@
+"""Lines that broke: which new lines are pieces of a line that is tracked already."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frontend.tracking.overlap import beside
+
+MAX_DISTANCE = 2.0  # px of a piece from the line it broke from
+MIN_COS = np.cos(np.deg2rad(8.0))  # of the angle between both
+MIN_INSIDE = 0.5  # share of a piece within the extent of the whole line
+MAX_TWICE = 0.3  # share of a piece beside the piece that the track goes on with: more is a parallel line
+
+
+def parents(pieces: NDArray[np.float32], whole: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The track that each line is a piece of.
+
+    Args:
+        pieces: (M, 2, 2) float32 px, lines that no track goes on with.
+        whole: (N, 2, 2) float32 px, fused segments of the tracks that were seen in this frame.
+        seen: (N, 2, 2) float32 px, the lines they go on with.
+
+    Returns:
+        (M,) int64 row of the track, or -1.
+    """
+    rows: NDArray[np.int64] = _parents(pieces, whole, seen)
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _parents(pieces, whole, seen):  # type: ignore[no-untyped-def]
+    rows = np.full(len(pieces), -1, np.int64)
+    for m in range(len(pieces)):
+        length = np.hypot(pieces[m, 1, 0] - pieces[m, 0, 0], pieces[m, 1, 1] - pieces[m, 0, 1])
+        nearest = MAX_DISTANCE
+        mx, my = 0.5 * (pieces[m, 0, 0] + pieces[m, 1, 0]), 0.5 * (pieces[m, 0, 1] + pieces[m, 1, 1])
+        reach = 0.5 * length + MAX_DISTANCE
+        for n in range(len(whole)):
+            a, b = whole[n, 0], whole[n, 1]
+            if mx + reach < min(a[0], b[0]) or mx - reach > max(a[0], b[0]):
+                continue
+            if my + reach < min(a[1], b[1]) or my - reach > max(a[1], b[1]):
+                continue
+            shared, at_low, at_high, cosine = beside(whole[n], pieces[m])
+            distance = max(at_low, at_high)
+            if shared < MIN_INSIDE * length or abs(cosine) < MIN_COS or distance >= nearest:
+                continue
+            if beside(seen[n], pieces[m])[0] <= MAX_TWICE * length:
+                nearest, rows[m] = distance, n
+    return rows
+
+
+def absorbed(
+    pieces: NDArray[np.float32], parent_rows: NDArray[np.int64], seen: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Which missed pieces have become part of their parent's line again.
+
+    Args:
+        pieces: (M, 2, 2) float32 px, where the pieces should be.
+        parent_rows: (M,) int64 row of each one's parent among the lines, or -1.
+        seen: (N, 2, 2) float32 px, the lines that the tracks go on with.
+
+    Returns:
+        (M,) mask.
+    """
+    mask: NDArray[np.bool_] = _absorbed(pieces, parent_rows, seen)
+    return mask
+
+
+@njit(cache=True, nogil=True)
+def _absorbed(pieces, parent_rows, seen):  # type: ignore[no-untyped-def]
+    mask = np.zeros(len(pieces), np.bool_)
+    for m in range(len(pieces)):
+        if parent_rows[m] >= 0:
+            length = np.hypot(pieces[m, 1, 0] - pieces[m, 0, 0], pieces[m, 1, 1] - pieces[m, 0, 1])
+            shared, at_low, at_high, _ = beside(seen[parent_rows[m]], pieces[m])
+            mask[m] = shared >= MIN_INSIDE * length and max(at_low, at_high) < 2 * MAX_DISTANCE
+    return mask

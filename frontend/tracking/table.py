@@ -1,0 +1,104 @@
+"""What the tracker remembers of its tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.tracking.overlap import Looks
+
+
+@dataclass(frozen=True)
+class TrackTable:
+    """Tracks as columns; row k of every array speaks of the same track, and ids ascend.
+
+    Attributes:
+        ids: (N,) int64.
+        segments: (N, 2, 2) float32 px, fused, in the image that the tracker last used.
+        parts: (N, 2) float32 where along the segment the line was seen last, from 0 at its start to 1 at its end.
+        covariances: (N, 2, 2) float32, see `fusion`.
+        descriptors: (N, C) float32 unit rows.
+        profiles: (N, K) float32, see `appearance`.
+        born: (N,) int64 index of the first frame.
+        hits: (N,) int32 frames in which the track was seen.
+        missed: (N,) int32 frames since it was last seen.
+        visible: (N,) bool, seen in the image that the tracker last used.
+        fragment_of: (N,) int64 id of the track whose line this is a piece of, -1 for none.
+    """
+
+    ids: NDArray[np.int64]
+    segments: NDArray[np.float32]
+    parts: NDArray[np.float32]
+    covariances: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
+    profiles: NDArray[np.float32]
+    born: NDArray[np.int64]
+    hits: NDArray[np.int32]
+    missed: NDArray[np.int32]
+    visible: NDArray[np.bool_]
+    fragment_of: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def seen_parts(self) -> NDArray[np.float32]:
+        """(N, 2, 2) float32 px, the parts of the segments that were seen last."""
+        start, end = self.segments[:, :1], self.segments[:, 1:]
+        return np.asarray(start + self.parts[:, :, None] * (end - start))
+
+    @property
+    def looks(self) -> Looks:
+        """The tracks as candidates for a pair."""
+        return Looks(self.segments, self.descriptors, self.profiles)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every array by its name."""
+        return {column.name: getattr(self, column.name) for column in fields(self)}
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> TrackTable:
+        """Some of the tracks."""
+        return TrackTable(**{name: column[rows] for name, column in self.columns().items()})
+
+    def with_rows(self, rows: NDArray[np.bool_], values: Mapping[str, NDArray[Any]]) -> TrackTable:
+        """A copy in which the masked rows of the named columns hold new values."""
+        columns = self.columns()
+        for name, value in values.items():
+            columns[name] = columns[name].copy()
+            columns[name][rows] = value
+        return TrackTable(**columns)
+
+    def append(self, other: TrackTable) -> TrackTable:
+        """These tracks, then the others."""
+        theirs = other.columns()
+        return TrackTable(**{name: np.concatenate([column, theirs[name]]) for name, column in self.columns().items()})
+
+
+def new_tracks(
+    first_id: int, frame_index: int, lines: Looks, covariances: NDArray[np.float32], fragment_of: NDArray[np.int64]
+) -> TrackTable:
+    """A track for each of N lines that were seen for the first time."""
+    count = len(lines.segments)
+    return TrackTable(
+        ids=np.arange(first_id, first_id + count, dtype=np.int64),
+        segments=lines.segments,
+        parts=np.tile(np.array([0, 1], np.float32), (count, 1)),
+        covariances=covariances,
+        descriptors=lines.descriptors,
+        profiles=lines.profiles,
+        born=np.full(count, frame_index, np.int64),
+        hits=np.ones(count, np.int32),
+        missed=np.zeros(count, np.int32),
+        visible=np.ones(count, np.bool_),
+        fragment_of=fragment_of,
+    )
+
+
+def no_tracks(lines: Looks) -> TrackTable:
+    """An empty table for tracks of such lines."""
+    none = lines.take(np.zeros(0, np.int32))
+    return new_tracks(0, 0, none, np.zeros((0, 2, 2), np.float32), np.zeros(0, np.int64))

@@ -1,0 +1,374 @@
+"""The evaluation's figures on cases with known answers, the trackers to compare with, and triangulation."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from airline import LineSet
+from airline.scenes.paths import rotation
+from frontend import Frame
+from frontend.evaluation.baselines import FlowTracker, NearestTracker
+from frontend.evaluation.clip import Truth
+from frontend.evaluation.jitter import jitter
+from frontend.evaluation.metrics import changes, idf1, links, pure_length, score, track_lengths
+from frontend.evaluation.posed import Observation, consistency, parallax, reprojection_errors, triangulate
+from frontend.evaluation.record import Record, Tracked
+from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, owners
+
+SIZE = (200, 160)
+
+
+def lines(*rows: tuple[float, float, float, float]) -> NDArray[np.float32]:
+    return np.array(rows, np.float32).reshape(-1, 2, 2)
+
+
+def truth(ids: list[int], *rows: tuple[float, float, float, float]) -> Truth:
+    return Truth(lines(*rows), np.array(ids, np.int64))
+
+
+# owners
+
+
+@pytest.mark.parametrize(
+    ("detected", "owner"),
+    [
+        ((10, 20, 110, 20), 5),
+        ((110, 20, 10, 20), 5),  # either direction
+        ((10, 21.2, 110, 21.2), 5),
+        ((10, 21.3, 110, 21.3), UNKNOWN),
+        ((10, 18, 110, 22), 5),  # 2.3 degrees; 1 px away in the mean
+        ((60, 15, 61, 25), UNKNOWN),
+        ((62, 20, 160, 20), UNKNOWN),  # 48 of 98 px are covered
+        ((50, 20, 160, 20), 5),  # 60 of 110
+        ((150, 20, 190, 20), UNKNOWN),
+    ],
+)
+def test_owner_of_one_line(detected: tuple[float, float, float, float], owner: int) -> None:
+    assert owners(lines(detected), truth([5], (10, 20, 110, 20))).tolist() == [owner]
+
+
+@pytest.mark.parametrize(
+    ("degrees", "length", "owned"), [(4.8, 40, True), (5.2, 40, False), (11, 10, True), (12, 10, False)]
+)
+def test_short_lines_may_turn_farther(degrees: float, length: float, owned: bool) -> None:
+    arm = 0.5 * length * np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+    detected = (*((60, 20) - arm), *((60, 20) + arm))
+    assert (owners(lines(detected), truth([5], (10, 20, 110, 20)))[0] == 5) == owned
+
+
+def test_pieces_of_a_line_count_together() -> None:
+    pieces = truth([3, 3, 8], (10, 20, 40, 20), (60, 20, 90, 20), (10, 60, 90, 60))
+    assert owners(lines((10, 20, 90, 20), (62, 20, 88, 20), (10, 60, 50, 60)), pieces).tolist() == [3, 3, 8]
+
+
+def test_two_lines_side_by_side_are_ambiguous_between_them() -> None:
+    pair = truth([3, 8], (10, 20, 90, 20), (10, 21.8, 90, 21.8))
+    found = owners(lines((10, 20, 90, 20), (10, 20.5, 90, 20.5), (10, 21.1, 90, 21.1), (10, 22.2, 90, 22.2)), pair)
+    assert found.tolist() == [3, AMBIGUOUS, AMBIGUOUS, 8]
+
+
+def test_a_line_over_two_lines_end_to_end_is_ambiguous() -> None:
+    pair = truth([3, 8], (10, 20, 60, 20), (60, 20, 110, 20))
+    found = owners(lines((10, 20, 110, 20), (10, 20, 70, 20), (10, 20, 90, 20)), pair)
+    assert found.tolist() == [AMBIGUOUS, 3, AMBIGUOUS]
+
+
+def test_nothing_owns_nothing() -> None:
+    none = truth([])
+    assert owners(lines((0, 0, 9, 9)), none).tolist() == [UNKNOWN]
+    assert owners(lines(), truth([1], (0, 0, 9, 9))).tolist() == []
+    assert owners(lines((5, 5, 5, 5)), truth([1], (0, 0, 9, 9))).tolist() == [UNKNOWN]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**6))
+def test_true_lines_own_their_own_parts(seed: int) -> None:
+    """Any part of a true line is its own, or ambiguous, however it runs and wherever the whole is moved."""
+    rng = np.random.default_rng(seed)
+    true = truth(list(rng.permutation(30)), *rng.uniform(0, 300, (30, 4)))
+    start, delta = true.segments_px[:, 0], true.segments_px[:, 1] - true.segments_px[:, 0]
+    part = np.sort(rng.uniform(0, 1, (30, 2)), axis=1)[:, :, None]
+    detected = (start[:, None] + part * delta[:, None])[:, :: rng.choice([-1, 1])].astype(np.float32)
+    found = owners(detected, true)
+    assert ((found == true.ids) | (found == AMBIGUOUS)).all()
+    assert np.mean(found == true.ids) > 0.5
+    moved = Truth(true.segments_px + np.float32([40, -20]), true.ids)
+    assert np.mean(owners(detected + np.float32([40, -20]), moved) == found) > 0.9
+
+
+# identities: frames are dictionaries of track to true line
+
+
+def run(
+    *frames: dict[int, int], fragments: dict[int, int] | None = None, also: list[int] | None = None
+) -> list[Record]:
+    """Records in which every track's line lies on its true line, line k at y = 10 k; `also` are lines without track."""
+    records = []
+    for frame in frames:
+        true = [*frame.values(), *(also or [])]
+        ids = sorted({line for line in true if line >= 0})
+        tracked = Tracked(
+            np.array(list(frame), np.int64),
+            np.arange(len(frame), dtype=np.int32),
+            lines(*((10, 10 * line, 100 - k, 10 * line) for k, line in enumerate(frame.values()))),
+            np.array([(fragments or {}).get(track, -1) for track in frame], np.int64),
+        )
+        visible = truth(ids, *((10, 10 * line, 100, 10 * line) for line in ids))
+        records.append(Record(tracked, np.array(true, np.int64), visible, SIZE, 1.0))
+    return records
+
+
+def test_a_perfect_run() -> None:
+    records = run(*[{7: 1, 9: 2, 11: 5}] * 10)
+    figures = score(records)
+    assert (figures["link_precision"], figures["link_recall"], figures["idf1"]) == (1, 1, 1)
+    assert (figures["wrong_links"], figures["switches_per_100"], figures["fragments_per_100"]) == (0, 0, 0)
+    assert (figures["tracks"], figures["track_length_mean"], figures["pure_length_mean"]) == (3, 10, 10)
+    assert (figures["visible_length_mean"], figures["alive_3"], figures["alive_10"]) == (10, 1, 1)
+    assert (figures["jitter_across_px"], figures["jitter_along_px"]) == (0, 0)
+
+
+def test_links() -> None:
+    two_swap = links(run({0: 1, 1: 2, 2: 3}, {0: 2, 1: 1, 2: 3}))
+    assert (two_swap.right, two_swap.wrong, two_swap.possible, two_swap.found) == (1, 2, 3, 1)
+    new_id = links(run({0: 1}, {1: 1}))
+    assert (new_id.right, new_id.wrong, new_id.possible, new_id.found) == (0, 0, 1, 0)
+    unknown = links(run({0: UNKNOWN, 1: AMBIGUOUS, 2: 4}, {0: 1, 1: 2, 2: UNKNOWN}))
+    assert (unknown.right, unknown.wrong, unknown.possible) == (0, 0, 0)
+    broken = links(run({0: 1, 1: 1}, {0: 1, 1: 1}))
+    assert (broken.right, broken.possible, broken.found) == (2, 1, 1), "both pieces are linked, the line is found once"
+    untracked = links(run({0: 1}, {0: 1}, also=[2]))
+    assert (untracked.possible, untracked.found) == (2, 1)
+    assert links(run({0: 1}, {}, {0: 1})).right == 0, "links are between consecutive frames"
+
+
+def test_idf1() -> None:
+    assert idf1(run({0: 1}, {0: 1}, {1: 1}, {1: 1})) == pytest.approx(0.5), "half of the line's life has the wrong id"
+    assert idf1(run(*[{0: 1}] * 3, {0: 2})) == pytest.approx(2 * 3 / (4 + 4))
+    assert idf1(run(*[{0: 1, 1: 2}] * 3, *[{0: 2, 1: 1}] * 2)) == pytest.approx(2 * 6 / (10 + 10))
+    assert idf1(run(*[{0: 1}] * 4, also=[2])) == pytest.approx(2 * 4 / (8 + 4))
+    assert idf1(run({0: UNKNOWN})) is None
+
+
+def test_a_known_fragment_is_no_second_claim() -> None:
+    broken = [{0: 1, 1: 1}] * 4
+    assert idf1(run(*broken)) == pytest.approx(2 * 4 / (4 + 8))
+    assert idf1(run(*broken, fragments={1: 0})) == 1
+    assert idf1(run({0: 1}, {1: 1}, {1: 1}, fragments={1: 0})) == 1, "a piece alone still is the line"
+    assert track_lengths(run(*broken, fragments={1: 0})).tolist() == [4]
+    wrong = run(*[{0: 1, 1: 2}] * 4, fragments={1: 0})
+    assert idf1(wrong) == pytest.approx(2 * 4 / (8 + 8)), "a piece of another line is a wrong claim"
+
+
+def test_changes() -> None:
+    def counts(*frames: dict[int, int]) -> tuple[int, int]:
+        change = changes(run(*frames))
+        return change.switches, change.fragments
+
+    assert counts({0: 1}, {0: 1}, {5: 1}, {5: 1}) == (1, 0)
+    assert counts({0: 1}, {}, {5: 1}) == (1, 1), "lost and found again under another id"
+    assert counts({0: 1}, {}, {0: 1}) == (0, 0), "found again under its id"
+    assert counts({0: 1, 1: 2}, {0: 2, 1: 1}) == (2, 0)
+    assert counts({0: 1}, {0: 1, 1: 1}, {0: 1}) == (0, 0), "a second piece takes nothing away"
+    assert counts({0: 1, 1: 1}, {1: 1}, {1: 1}) == (1, 0), "the longest piece had the line"
+    assert counts({0: 1}, {1: UNKNOWN}, {0: 1}) == (0, 0)
+
+
+def test_lengths() -> None:
+    records = run({0: 1, 1: 2}, {0: 1}, {0: 2, 3: UNKNOWN}, {3: UNKNOWN})
+    assert track_lengths(records).tolist() == [3, 1, 2]
+    assert pure_length(records) == pytest.approx((2 + 1) / 2), "a track on no known line has none"
+    figures = score(records)
+    assert (figures["tracks"], figures["track_length_median"], figures["visible_length_mean"]) == (3, 2, 2)
+    assert figures["alive_3"] == pytest.approx(1 / 3, abs=1e-4)
+
+
+def test_an_empty_run_has_no_figures() -> None:
+    figures = score(run({}, {}))
+    assert {figures[key] for key in ("link_precision", "link_recall", "idf1", "track_length_mean", "alive_3")} == {None}
+    assert (figures["tracks"], figures["jitter_across_px"], figures["jitter_along_px"]) == (0, None, None)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6))
+def test_names_of_tracks_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [{int(t): int(rng.integers(-2, 6)) for t in rng.permutation(8)[: rng.integers(0, 8)]} for _ in range(6)]
+    other = dict(zip(range(8), rng.permutation(50)[:8].tolist(), strict=True))
+    renamed = [{other[track]: line for track, line in frame.items()} for frame in frames]
+    figures = score(run(*frames))
+    assert figures == score(run(*renamed))
+    for key in ("link_precision", "link_recall", "idf1"):
+        assert figures[key] is None or 0 <= figures[key] <= 1
+
+
+# jitter
+
+
+def jittered(segments: NDArray[np.float64], true: NDArray[np.float64]) -> tuple[float | None, float | None]:
+    """Of one track: its (F, 2, 2) segments beside its (F, 2, 2) true line."""
+    one, row = np.zeros(1, np.int64), np.zeros(1, np.int32)
+    records = [
+        Record(
+            Tracked(one, row, s[None].astype(np.float32), one - 1), one, Truth(t[None].astype(np.float32), one), SIZE, 1
+        )
+        for s, t in zip(segments, true, strict=True)
+    ]
+    return jitter(records)
+
+
+def turning(frames: int) -> NDArray[np.float64]:
+    angles = np.linspace(0, 1, frames)
+    arm = 30 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    centre = np.stack([np.linspace(60, 120, frames), np.linspace(90, 60, frames)], axis=1)
+    return np.stack([centre - arm, centre + arm], axis=1)
+
+
+def test_jitter_is_the_noise_without_the_motion() -> None:
+    rng = np.random.default_rng(0)
+    true = turning(2000)
+    unit = (true[:, 1] - true[:, 0])[:, None] / 60
+    normal = unit[:, :, ::-1] * (-1, 1)
+    noisy = true + 0.3 * rng.standard_normal((2000, 2, 1)) * normal + 1.5 * rng.standard_normal((2000, 2, 1)) * unit
+    across, along = jittered(noisy, true)
+    assert across == pytest.approx(0.3, rel=0.05)
+    assert along == pytest.approx(1.5, rel=0.05)
+    assert jittered(noisy[:, ::-1], true) == pytest.approx((across, along), rel=1e-3), "whichever end comes first"
+
+
+def test_a_constant_error_is_no_jitter() -> None:
+    true = turning(50)
+    unit = (true[:, 1] - true[:, 0])[:, None] / 60
+    assert jittered(true + 5 * unit, true) == pytest.approx((0, 0), abs=1e-4)
+    assert jittered(true, true) == pytest.approx((0, 0), abs=1e-4)
+
+
+def test_turning_the_end_points_about_is_seen() -> None:
+    true = turning(10)
+    flipped = true.copy()
+    flipped[5:] = flipped[5:, ::-1]
+    _, along = jittered(flipped, true)
+    assert along is not None
+    assert along > 10
+
+
+def test_ends_at_the_border_have_no_place_along() -> None:
+    true = np.tile(np.array([[0.0, 50.0], [90.0, 50.0]]), (4, 1, 1))
+    moved = true.copy()
+    moved[:, 0, 0] += [0, 9, 0, 9]
+    assert jittered(moved, true) == (0, 0), "the end at the border may jump"
+    moved[:, 1, 0] += [0, 2, 0, 2]
+    assert jittered(moved, true)[1] == pytest.approx(np.sqrt(0.5) * 2)
+
+
+# the trackers to compare with
+
+
+def line_set(segments: NDArray[np.float32]) -> LineSet:
+    descriptors = np.zeros((len(segments), 6), np.float32)
+    return LineSet(segments, np.ones(len(segments), np.float32), descriptors)
+
+
+def view(shift: int) -> NDArray[np.uint8]:
+    noise = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 120, (260, 400)), (0, 0), 5)
+    return np.ascontiguousarray(np.clip(128 + 4 * noise, 0, 255).astype(np.uint8)[50:210, 100 - shift : 300 - shift])
+
+
+THREE = lines((20, 20, 120, 30), (30, 60, 30, 140), (60, 120, 150, 60))
+
+
+@pytest.mark.parametrize("make", [NearestTracker, FlowTracker])
+@pytest.mark.parametrize("speed", [0, 3])
+def test_baselines_follow_simple_motion(make: type[NearestTracker] | type[FlowTracker], speed: int) -> None:
+    tracker, rng = make(), np.random.default_rng(1)
+    for i in range(10):
+        order = rng.permutation(3)
+        segments = (THREE + np.float32([speed * i, 0]))[order]
+        segments[::2] = segments[::2, ::-1]
+        tracked = tracker.update(Frame(i, i * 33_000_000, view(speed * i)), line_set(segments))
+        by_line = dict(zip(order[tracked.line_indices].tolist(), tracked.ids.tolist(), strict=True))
+        ends = {int(track): segment for track, segment in zip(tracked.ids, tracked.segments_px, strict=True)}
+        if i == 0:
+            first, start = by_line, ends
+        assert by_line == first
+        for track, segment in ends.items():
+            assert ((segment[1] - segment[0]) * (start[track][1] - start[track][0])).sum() > 0, "ends keep their order"
+
+
+def test_flow_follows_a_sudden_shift() -> None:
+    tracker = FlowTracker()
+    for i, shift in enumerate((0, 25, 5)):
+        moved = line_set(THREE + np.float32([shift, 0]))
+        assert tracker.update(Frame(i, i, view(shift)), moved).ids.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("make", [NearestTracker, FlowTracker])
+def test_baselines_wait_for_missed_lines(make: type[NearestTracker] | type[FlowTracker]) -> None:
+    tracker = make()
+    ids = [
+        tracker.update(Frame(i, i, view(0)), line_set(THREE if seen else THREE[:0])).ids.tolist()
+        for i, seen in enumerate([1, 1, *[0] * 5, 1, *[0] * 6, 1])
+    ]
+    assert ids[7] == [0, 1, 2]
+    assert ids[-1] == [3, 4, 5]
+
+
+# triangulation
+
+K = np.array([[400.0, 0, 100], [0, 400, 80], [0, 0, 1]])
+
+
+def observed(
+    first: NDArray[np.float64], second: NDArray[np.float64], noise: float = 0, seed: int = 0
+) -> list[Observation]:
+    """A line in space between two points, from eight places on a walk."""
+    rng = np.random.default_rng(seed)
+    track = []
+    for k in range(8):
+        pose = np.column_stack([rotation(0.02 * k, 0.01 * k, 0.0), [0.1 * k, 0.25 * k, 0.03 * k]])
+        points = (np.stack([first, second]) - pose[:, 3]) @ pose[:, :3] @ K.T
+        segment = points[:, :2] / points[:, 2:] + noise * rng.standard_normal((2, 2))
+        track.append(Observation(segment.astype(np.float32), pose))
+    return track
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_triangulation_finds_the_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = rng.uniform((8, -2, -1), (12, 2, 1), (2, 3))
+    track = observed(first, second)
+    point, direction = triangulate(track, K)
+    for end in (first, second):
+        away = end - point
+        assert np.linalg.norm(away - (away @ direction) * direction) < 0.01
+    assert reprojection_errors(track, np.stack([point, direction]), K).max() < 0.01
+
+
+def test_errors_are_in_pixels() -> None:
+    track = observed(np.array([10.0, -1, 0]), np.array([10.0, 1, 1]))
+    line = triangulate(track, K)
+    moved = Observation(track[0].segment, track[0].pose)
+    delta = moved.segment[1] - moved.segment[0]
+    moved.segment[:] += 3 * delta[::-1] * (-1, 1) / np.linalg.norm(delta)
+    assert reprojection_errors([moved], line, K) == pytest.approx(np.full((1, 2), 3), abs=0.02)
+
+
+def test_consistency() -> None:
+    good = observed(np.array([10.0, -1, 0]), np.array([9.0, 1, 1]), noise=0.3)
+    bad = observed(np.array([10.0, 1, 0]), np.array([9.0, 1, 1]))
+    bad[4:] = observed(np.array([10.0, 1.6, 0]), np.array([9.0, 1.6, 1]))[4:]
+    figures = consistency([good, bad, good[:4]], K)
+    assert (figures["tracks_5"], figures["consistent_tracks"], figures["consistent_share"]) == (2, 1, 0.5)
+    assert figures["consistent_length_mean"] == 8
+    assert consistency([good[:4]], K)["consistent_share"] is None
+
+
+def test_a_camera_that_stands_still_sees_no_parallax() -> None:
+    still = [observed(np.array([10.0, -1, 0]), np.array([9.0, 1, 1]))[0]] * 6
+    assert parallax(still, K) == pytest.approx(0, abs=1e-4)
+    assert consistency([still], K)["consistent_share"] == 1
