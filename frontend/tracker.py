@@ -206,7 +206,7 @@ def _updated(
     segments, covariances = fuse(tracks.segments[hit], tracks.covariances[hit], observed, errors, size)
     fused = {
         "segments": segments,
-        "parts": along(segments, observed),
+        "parts": _along(segments, observed),
         "covariances": covariances,
         "descriptors": lines.descriptors,
         "profiles": MEMORY * tracks.profiles[hit] + (1 - MEMORY) * profiles,
@@ -227,7 +227,7 @@ def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines:
     return f"scene cut: {100 * share:.0f} % of the tracks go on" if share <= CUT_TRACKS else None
 
 
-def along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N, K) places of (N, K, 2) points along (N, 2, 2) segments, from 0 at the start to 1 at the end."""
     delta = segments[:, None, 1] - segments[:, None, 0]
     dots = ((points - segments[:, :1]) * delta).sum(axis=2)

@@ -32,9 +32,10 @@ def looks(segments: object, profiles: np.ndarray | None = None) -> Looks:
     return Looks(lines.segments, lines.descriptors, same if profiles is None else profiles)
 
 
-def votes(tracks: Looks, lines: Looks, band: float = 4.0, **limits: float) -> np.ndarray:
-    defaults = {"max_angle": np.deg2rad(20), "min_agreement": 0.5, "min_appearance": -1.0}
-    return overlap_votes(tracks, lines, np.full(len(tracks.segments), band, np.float32), **(defaults | limits))
+def votes(tracks: Looks, lines: Looks, band: float = 4.0, parts: np.ndarray | None = None) -> np.ndarray:
+    bands = np.full(len(tracks.segments), band, np.float32)
+    parts = tracks.segments if parts is None else parts
+    return overlap_votes(tracks, lines, bands, parts, max_angle=np.deg2rad(20), min_agreement=0.5, min_appearance=-1.0)
 
 
 # ---- motion
@@ -123,6 +124,16 @@ def test_votes_of_hand_made_pairs():
     )
     # cover (mean of the shares of the shorter and of the longer) times closeness squared
     assert votes(track, lines)[0] == pytest.approx([1, 0.5 * 0.25, 0, 0, 0.75 * 0.75**2], abs=1e-5)
+
+
+def test_votes_prefer_the_piece_that_was_seen_last():
+    track = looks([[[0, 0], [100, 0]]])
+    pieces = looks([[[0, 0], [45, 0]], [[55, 0], [100, 0]]])
+    first, second = votes(track, pieces)[0]
+    assert first == pytest.approx(second)
+    first, second = votes(track, pieces, parts=pieces.segments[1:])[0]
+    assert second == pytest.approx(1)
+    assert first == pytest.approx(0.5)
 
 
 def test_votes_do_not_depend_on_the_order_of_end_points():

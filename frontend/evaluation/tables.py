@@ -22,8 +22,8 @@ across, along: jitter of the end points about the true motion, rms, px.
 length, median: frames in which a track was seen. pure: mean frames of a track
   on the true line that it was on most. visible: mean frames in which a true
   line was detected. >=3, >=5, >=10: tracks seen in so many frames, %.
-share: tracks of which all end points stay within 2 px of the line in space that
-  they agree on, %; length: mean frames of those. parallax: median, degrees.
+share: tracks of which all end points stay within 2 px of the line in space
+  that they agree on, %; length: mean frames of those. parallax: median, deg.
 ms: median time of a tracker's update."""
 
 Column = tuple[str, int, str]  # key, factor, format

@@ -139,9 +139,7 @@ def _flow(
     return ((moved[:, 0] + 0.5) * before.factor - 0.5).astype(np.float32), consistent
 
 
-def _same_light(
-    first: NDArray[np.uint8], second: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _same_light(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both images; if the exposure jumped, the brighter one with the histogram of the darker one.
 
     Flow takes a point to look the same in both. A histogram says what any exposure and display curve did to the image.

@@ -103,7 +103,17 @@ def beside(track, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _votes(  # type: ignore[no-untyped-def]
-    tracks, descriptors, profiles, lines, line_descriptors, line_profiles, bands, parts, min_cos, min_agreement, min_alike
+    tracks,
+    descriptors,
+    profiles,
+    lines,
+    line_descriptors,
+    line_profiles,
+    bands,
+    parts,
+    min_cos,
+    min_agreement,
+    min_alike,
 ):
     votes = np.zeros((len(tracks), len(lines)), np.float32)
     middles = np.empty((len(lines), 2), np.float32)
@@ -126,8 +136,8 @@ def _votes(  # type: ignore[no-untyped-def]
             if shared <= 0 or abs(cosine) < min_cos or distance >= band or max(at_low, at_high) > 1.5 * band:
                 continue
             agreement = np.float32(0)
-            for c in range(descriptors.shape[1]):
-                agreement += descriptors[i, c] * line_descriptors[j, c]
+            for c in range(looks.shape[1]):
+                agreement += looks[i, c] * line_looks[j, c]
             if agreement < min_agreement:
                 continue
             alike = np.float32(0)
