@@ -103,17 +103,7 @@ def beside(track, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _votes(  # type: ignore[no-untyped-def]
-    tracks,
-    descriptors,
-    profiles,
-    lines,
-    line_descriptors,
-    line_profiles,
-    bands,
-    parts,
-    min_cos,
-    min_agreement,
-    min_alike,
+    tracks, looks, profiles, lines, line_looks, line_profiles, bands, parts, min_cos, min_agreement, min_alike
 ):
     votes = np.zeros((len(tracks), len(lines)), np.float32)
     middles = np.empty((len(lines), 2), np.float32)
