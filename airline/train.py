@@ -30,7 +30,7 @@ from airline.weights import save_unet
 
 log = logging.getLogger("airline.train")
 
-DEFAULT_STEPS = 16000
+DEFAULT_STEPS = 28000
 HELD_OUT_SCENES = 12
 SETTINGS = ("model", "minutes", "scenes", "views", "seed", "loss_weight", "loss_radius")  # what a checkpoint depends on
 

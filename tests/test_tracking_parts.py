@@ -122,8 +122,8 @@ def test_votes_of_hand_made_pairs():
     lines = looks(
         [[[0, 0], [100, 0]], [[50, 2], [150, 2]], [[0, 0], [0, 100]], [[0, 50], [100, 50]], [[0, 1], [50, 1]]]
     )
-    # cover (mean of the shares of the shorter and of the longer) times closeness squared
-    assert votes(track, lines)[0] == pytest.approx([1, 0.5 * 0.25, 0, 0, 0.75 * 0.75**2], abs=1e-5)
+    # cover (35 % for the share of the shorter, 65 % for that of the longer) times closeness squared
+    assert votes(track, lines)[0] == pytest.approx([1, 0.5 * 0.25, 0, 0, (0.35 + 0.65 * 0.5) * 0.75**2], abs=1e-5)
 
 
 def test_votes_prefer_the_piece_that_was_seen_last():
@@ -133,7 +133,7 @@ def test_votes_prefer_the_piece_that_was_seen_last():
     assert first == pytest.approx(second)
     first, second = votes(track, pieces, parts=pieces.segments[1:])[0]
     assert second == pytest.approx(1)
-    assert first == pytest.approx(0.5)
+    assert first == pytest.approx(0.35)
 
 
 def test_votes_do_not_depend_on_the_order_of_end_points():

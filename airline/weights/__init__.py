@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from airline.unet import UNet
 
 BUNDLED = {
-    "default": "f53d58f4cee137c9ebd87e5831c8c6620a16359a64923ba6262397144bbdb354",
-    "fast": "b3275a9935d2471ce5bfb4a28c20eb7f0598a910c59f64edf487711d7518e55d",
+    "default": "e6cdbd6ea8736db5514a420d6b5a78a2560e9d093fa0685544d7b47632e57304",
+    "fast": "6271144ff47741f1212e853073723737ae2bf8e5823b54e081c92f0fd0e1f819",
 }
 
 
@@ -63,7 +63,8 @@ def load_unet(weights: str | Path) -> UNet:
         ) from None
     try:
         spec = UNetSpec(**{field.name: int(metadata[field.name]) for field in fields(UNetSpec)})
-        if not all(1 <= getattr(spec, field.name) <= 1024 for field in fields(UNetSpec)) or spec.levels > 8:
+        shape = [getattr(spec, field.name) for field in fields(UNetSpec) if field.name != "smoothed"]
+        if not all(1 <= size <= 1024 for size in shape) or spec.levels > 8 or not 0 <= spec.smoothed <= 8:
             raise ValueError("its network shape is out of range")
         with torch.device("meta"):
             net = UNet(spec)

@@ -18,10 +18,10 @@ P, R: precision and recall of links, %. A link is a track seen in two
 IDF1: one track for each true line and one true line for each track, %.
 switch: changes of a true line's track per 100 frames; frag: those of them
   after frames in which the true line was not tracked.
-across, along: jitter of the end points about the true motion, rms, px.
-length, median: frames in which a track was seen. pure: mean frames of a track
-  on the true line that it was on most. visible: mean frames in which a true
-  line was detected. >=3, >=5, >=10: tracks seen in so many frames, %.
+length, med: frames in which a track was seen, mean and median. pure: mean
+  frames of a track on the true line that it was on most. of: mean frames in
+  which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
+across, along: the true line, about the true motion; rms.
 share: tracks of which all end points stay within 2 px of the line in space
   that they agree on, %; length: mean frames of those. parallax: median, deg.
 ms: median time of a tracker's update."""
@@ -36,19 +36,21 @@ _IDENTITIES: dict[str, Column] = {
     "IDF1": ("idf1", 100, ".1f"),
     "switch": ("switches_per_100", 1, ".0f"),
     "frag": ("fragments_per_100", 1, ".0f"),
-    "across": ("jitter_across_px", 1, ".2f"),
-    "along": ("jitter_along_px", 1, ".1f"),
     "ms": ("ms", 1, ".1f"),
 }
 _LENGTHS: dict[str, Column] = {
     "tracks": ("tracks", 1, "d"),
     "length": ("track_length_mean", 1, ".1f"),
-    "median": ("track_length_median", 1, ".0f"),
+    "med": ("track_length_median", 1, ".0f"),
     "pure": ("pure_length_mean", 1, ".1f"),
-    "visible": ("visible_length_mean", 1, ".1f"),
+    "of": ("visible_length_mean", 1, ".1f"),
     ">=3": ("alive_3", 100, ".0f"),
     ">=5": ("alive_5", 100, ".0f"),
     ">=10": ("alive_10", 100, ".0f"),
+}
+_END_POINTS: dict[str, Column] = {
+    "across": ("jitter_across_px", 1, ".2f"),
+    "along": ("jitter_along_px", 1, ".1f"),
 }
 _POSED: dict[str, Column] = {
     "tracks": ("tracks_5", 1, "d"),
@@ -64,6 +66,7 @@ def sequence_tables(clips: Clips) -> Iterator[Table]:
     """Trackers on clips with known identities."""
     yield _table("Identities", clips, _IDENTITIES)
     yield _table("Tracks", clips, _LENGTHS)
+    yield _table("Jitter of the end points, px", clips, _END_POINTS)
 
 
 def posed_table(clips: Clips) -> Table:
@@ -72,7 +75,9 @@ def posed_table(clips: Clips) -> Table:
 
 
 def _table(title: str, clips: Clips, columns: Mapping[str, Column]) -> Table:
-    table = Table("", "", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column(no_wrap=True, min_width=max(map(len, clips)))
+    table.add_column(no_wrap=True)
     for column in columns:
         table.add_column(column, justify="right")
     for clip, trackers in clips.items():

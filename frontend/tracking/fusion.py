@@ -17,7 +17,7 @@ BIAS = 0.12  # px, standard deviation of an offset that stays over the frames, a
 DEFAULT_RESIDUAL = 0.5  # px, of detectors that do not report theirs
 STILL, PER_PIXEL, UNFOLLOWED = 0.03, 0.02, 1.0  # px, error of a prediction: always, per px of motion, without flow
 NEAR, NEAR_SHARE = 3.0, 0.1  # end points that move by less, px or share of the length, are noise
-GAIN_NEAR, GAIN_OUT, GAIN_IN = 0.25, 0.8, 0.08  # of end points: for noise, for what is newly seen, for what is not seen
+GAIN_NEAR, GAIN_OUT, GAIN_IN = 0.25, 0.8, 0.12  # of end points: for noise, for what is newly seen, for what is not seen
 
 
 def line_covariances(segments: NDArray[np.float32], residuals: NDArray[np.float32] | None) -> NDArray[np.float32]:

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+AGAIN = 0.65  # weight of the part seen last against the whole track in what a line covers
+
 
 @dataclass(frozen=True)
 class Looks:
@@ -41,8 +43,9 @@ def overlap_votes(
     """Votes of every track, where it should be by now, for every detected line.
 
     The samples of a track that fall on a line earn it votes: in the limit of dense samples, the length along which
-    the two run side by side within the band, as a share of the shorter and of the longer of the two, weighted by
-    closeness, (1 - distance / band)^2, by the descriptors' dot product and by how alike both sides look.
+    the two run side by side within the band, as a share of the shorter one; and the same with the part of the track
+    that was seen last, as a share of the longer one. This cover is weighted by closeness, (1 - distance / band)^2, by
+    the descriptors' dot product, and by how alike both sides look.
 
     Args:
         tracks: N predicted tracks.
@@ -137,7 +140,7 @@ def _votes(  # type: ignore[no-untyped-def]
                 continue
             part = np.hypot(parts[i, 1, 0] - parts[i, 0, 0], parts[i, 1, 1] - parts[i, 0, 1])
             again = beside(parts[i], lines[j])[0] / max(part, lengths[j], np.float32(1))
-            cover = 0.5 * (shared / min(length, lengths[j]) + again)
+            cover = (1 - AGAIN) * shared / min(length, lengths[j]) + AGAIN * again
             closeness = 1 - distance / band
             votes[i, j] = cover * closeness * closeness * agreement * 0.5 * (1 + alike)
     return votes
