@@ -104,24 +104,20 @@ class LineTracker:
         config = self.config
         slack = tracks.missed + np.where(tracks.visible, 0, 1)
         bands = np.minimum(config.band + config.lost_band * slack, config.max_band).astype(np.float32)
-        pairs = np.full(len(tracks), -1, np.int32)
-        for candidates, least in (
-            (tracks.missed == 0, config.min_appearance),
-            (tracks.missed > 0, config.min_appearance_lost),
-        ):
-            free = np.setdiff1d(np.arange(len(seen.segments), dtype=np.int32), pairs)
-            votes = overlap_votes(
-                tracks.take(candidates).looks,
-                seen.take(free),
-                bands[candidates],
-                tracks.seen_parts[candidates],
-                max_angle=np.deg2rad(config.max_angle),
-                min_agreement=config.min_agreement,
-                min_appearance=least,
-            )
-            chosen = assign(votes, config.min_vote)
-            pairs[candidates] = np.append(free, np.int32(-1))[chosen]
-        return pairs
+        current = tracks.missed == 0
+        votes = overlap_votes(
+            tracks.looks,
+            seen,
+            bands,
+            tracks.seen_parts,
+            np.where(current, config.min_appearance, config.min_appearance_lost).astype(np.float32),
+            max_angle=np.deg2rad(config.max_angle),
+            min_agreement=config.min_agreement,
+        )
+        pairs = assign(votes, config.min_vote, rows=current)
+        free = np.ones(len(seen.segments), np.bool_)
+        free[pairs[pairs >= 0]] = False
+        return np.maximum(pairs, assign(votes, config.min_vote, rows=~current, columns=free))
 
     def _next(
         self,

@@ -35,7 +35,8 @@ def looks(segments: object, profiles: np.ndarray | None = None) -> Looks:
 def votes(tracks: Looks, lines: Looks, band: float = 4.0, parts: np.ndarray | None = None) -> np.ndarray:
     bands = np.full(len(tracks.segments), band, np.float32)
     parts = tracks.segments if parts is None else parts
-    return overlap_votes(tracks, lines, bands, parts, max_angle=np.deg2rad(20), min_agreement=0.5, min_appearance=-1.0)
+    alike = np.full(len(bands), -1, np.float32)
+    return overlap_votes(tracks, lines, bands, parts, alike, max_angle=np.deg2rad(20), min_agreement=0.5)
 
 
 # ---- motion
@@ -122,8 +123,9 @@ def test_votes_of_hand_made_pairs():
     lines = looks(
         [[[0, 0], [100, 0]], [[50, 2], [150, 2]], [[0, 0], [0, 100]], [[0, 50], [100, 50]], [[0, 1], [50, 1]]]
     )
-    # cover (35 % for the share of the shorter, 65 % for that of the longer) times closeness squared
-    assert votes(track, lines)[0] == pytest.approx([1, 0.5 * 0.25, 0, 0, (0.35 + 0.65 * 0.5) * 0.75**2], abs=1e-5)
+    # cover (35 % for the share of the shorter, 65 % for that of the longer) times closeness, squared
+    expected = np.square([1, 0.5 * 0.5, 0, 0, (0.35 + 0.65 * 0.5) * 0.75])
+    assert votes(track, lines)[0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_votes_prefer_the_piece_that_was_seen_last():
@@ -133,7 +135,7 @@ def test_votes_prefer_the_piece_that_was_seen_last():
     assert first == pytest.approx(second)
     first, second = votes(track, pieces, parts=pieces.segments[1:])[0]
     assert second == pytest.approx(1)
-    assert first == pytest.approx(0.35)
+    assert first == pytest.approx(0.35**2)
 
 
 def test_votes_do_not_depend_on_the_order_of_end_points():
@@ -172,6 +174,13 @@ def test_assignment_is_the_best_of_all(matrix):
     best = max(sum(padded[i, j] for i, j in enumerate(order)) for order in permutations(range(columns + rows), rows))
     assert sum(matrix[i, j] for i, j in enumerate(chosen) if j >= 0) == pytest.approx(best, abs=1e-6)
     assert all(matrix[i, j] >= least for i, j in enumerate(chosen) if j >= 0)
+
+
+def test_assignment_leaves_masked_rows_and_columns_alone():
+    matrix = np.array([[0.9, 0.5, 0.3], [0.8, 0.7, 0.2]], np.float32)
+    assert assign(matrix, 0.1).tolist() == [0, 1]
+    assert assign(matrix, 0.1, rows=np.array([False, True])).tolist() == [-1, 0]
+    assert assign(matrix, 0.1, columns=np.array([False, True, True])).tolist() == [2, 1]
 
 
 def test_assignment_agrees_with_scipy_on_many_lines():

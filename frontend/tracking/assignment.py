@@ -7,7 +7,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 
-def assign(votes: NDArray[np.float32], least: float) -> NDArray[np.int32]:
+def assign(
+    votes: NDArray[np.float32],
+    least: float,
+    rows: NDArray[np.bool_] | None = None,
+    columns: NDArray[np.bool_] | None = None,
+) -> NDArray[np.int32]:
     """The one-to-one pairs whose votes add up to the most.
 
     Few lines lie near a track, so the pairs fall apart into small groups that share no track and no line. Each group is
@@ -16,19 +21,23 @@ def assign(votes: NDArray[np.float32], least: float) -> NDArray[np.int32]:
     Args:
         votes: (N, M) float32.
         least: pairs with fewer votes do not exist.
+        rows: (N,) mask of the rows to pair; all by default.
+        columns: (M,) mask of the columns to pair; all by default.
 
     Returns:
         (N,) int32 column of each row, or -1.
     """
-    chosen: NDArray[np.int32] = _assign(votes, least)
+    n, m = votes.shape
+    skipped_rows = np.zeros(n, np.bool_) if rows is None else ~rows
+    skipped_columns = np.zeros(m, np.bool_) if columns is None else ~columns
+    chosen: NDArray[np.int32] = _assign(votes, np.float32(least), skipped_rows, skipped_columns)
     return chosen
 
 
 @njit(cache=True, nogil=True)
-def _assign(votes, least):  # type: ignore[no-untyped-def]
+def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def]
     n, m = votes.shape
     chosen = np.full(n, -1, np.int32)
-    row_seen, column_seen = np.zeros(n, np.bool_), np.zeros(m, np.bool_)
     rows, columns = np.empty(n, np.int64), np.empty(m, np.int64)
     for first in range(n):
         if row_seen[first]:

@@ -26,7 +26,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         min_agreement: least dot product of the orientation descriptors of a track and its line.
         min_appearance: least dot product of the grey profiles across a track and its line,
         min_appearance_lost: and of a track that was missed.
-        min_vote: least vote (overlap x closeness x agreement) of a pair.
+        min_vote: least vote of a pair, see `overlap`.
         max_gap_s: a longer gap between two frames ends all tracks, seconds.
     """
 
@@ -40,7 +40,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     min_agreement: Cosine = 0.5
     min_appearance: Cosine = -0.3
     min_appearance_lost: Cosine = 0.3
-    min_vote: Share = 0.15
+    min_vote: Share = 0.1
     max_gap_s: float = 1.0
 
     def __post_init__(self) -> None:

@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 
 WORKING_SIZE = 480  # px; flow runs on images whose longer side is at most this: less to compute, and a wider reach
 PLACES = np.array([0.25, 0.75], np.float32)  # of the points along a line
-SHORT = 30.0  # px; a shorter line has one point, in its middle
+SHORT = 60.0  # px; a shorter line has one point, in its middle
 BESIDE = np.array([2.0, -2.0], np.float32)  # px of the full image, to either side, where there is texture
 FLOW: dict[str, Any] = {
     "winSize": (9, 9),
     "maxLevel": 4,
     "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 6, 0.03),
 }
+# Back again it starts from where it should end, which is all that a right flow needs.
+FLOW_BACK: dict[str, Any] = {**FLOW, "maxLevel": 1, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
 MAX_ROUND_TRIP = 0.5  # px of the working image, forward-backward error
 MAX_RESIDUAL = 2.0  # px of the working image, of the points that agree on the global motion
 JUMP = 6.0  # grey levels between the means of two images that are not the same light any more
 LEAST_POINTS = 12  # that a homography is estimated from; fewer give a shift
+MOST_POINTS = 240  # for a homography; more would cost time and change nothing
 GRID = (6, 4)  # of points over the whole image, so that the global motion does not hang on a few lines
 
 
@@ -133,7 +136,7 @@ def _flow(
     start = np.ascontiguousarray((points + 0.5) / before.factor - 0.5, np.float32)[:, None]
     first, second = _same_light(before.pixels, after.pixels)
     moved, there, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **FLOW)
-    returned, back, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, None, **FLOW)
+    returned, back, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, start.copy(), **FLOW_BACK)
     consistent = (there[:, 0] > 0) & (back[:, 0] > 0)
     consistent &= np.linalg.norm((returned - start)[:, 0], axis=1) < MAX_ROUND_TRIP
     return ((moved[:, 0] + 0.5) * before.factor - 0.5).astype(np.float32), consistent
@@ -164,6 +167,8 @@ def _global_motion(
     if not len(before):
         return None
     if len(before) >= LEAST_POINTS:
+        every = -(-len(before) // MOST_POINTS)
+        before, after = before[::every], after[::every]
         found, inliers = cv2.findHomography(before, after, cv2.RANSAC, MAX_RESIDUAL * factor, maxIters=200)
         if found is not None and inliers.sum() >= LEAST_POINTS:
             return np.asarray(found, np.float64)
