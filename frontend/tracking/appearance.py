@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from airline.score import bilinear
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line
-SPACING = 4.0  # px between samples along the line
-MOST_SAMPLES = 24
+SPACING = 6.0  # px between samples along the line
+MOST_SAMPLES = 16
 FLOOR = 6.0  # grey levels: profiles with less contrast than this say little
 
 

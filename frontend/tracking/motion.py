@@ -24,7 +24,7 @@ MAX_ROUND_TRIP = 0.5  # px of the working image, forward-backward error
 MAX_RESIDUAL = 2.0  # px of the working image, of the points that agree on the global motion
 JUMP = 6.0  # grey levels between the means of two images that are not the same light any more
 LEAST_POINTS = 12  # that a homography is estimated from; fewer give a shift
-MOST_POINTS = 240  # for a homography; more would cost time and change nothing
+MOST_POINTS = 150  # for a homography; more would cost time and change nothing
 GRID = (6, 4)  # of points over the whole image, so that the global motion does not hang on a few lines
 
 
