@@ -23,7 +23,7 @@ from frontend.tracks import LineTracks, TrackState
 
 MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
 MEMORY = 0.5  # weight of the past in a track's profile
-CUT_FLOW = 0.1  # share of consistent flow below which an image may show another scene,
+CUT_FLOW = 0.2  # share of consistent flow below which an image may show another scene,
 CUT_TRACKS = 0.1  # if no more than this share of the tracks goes on
 CUT_LEAST = 10  # and there are so many tracks and lines that this is not chance
 

@@ -92,7 +92,7 @@ def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str
 @pytest.mark.parametrize("name", ["static", "slow", "handheld", "repeated", "occlusion"])
 def test_true_lines_are_steps_of_the_image(name: str) -> None:
     frame, truth = clip_named(name).at(20)
-    assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.95
+    assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.85  # the truth holds faint lines, too
 
 
 def test_fast_reaches_forty_pixels_per_frame() -> None:
