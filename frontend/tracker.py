@@ -135,9 +135,10 @@ class LineTracker:
         observed = seen.segments[pairs[hit]]
         alive = self._alive(tracks, hit, observed, size)
         new = np.setdiff1d(np.arange(len(seen.segments), dtype=np.int32), pairs)
-        parent = parents(seen.segments[new], tracks.segments[hit], observed)
-        of_parent = np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)[hit]
-        fragment_of = np.append(of_parent, -1)[parent]
+        parent = parents(np.concatenate([observed, seen.segments[new]]), tracks.segments[hit])
+        of_parent = np.append(np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)[hit], -1)[parent]
+        tracks = tracks.with_rows(hit, {"fragment_of": np.maximum(tracks.fragment_of[hit], of_parent[: hit.sum()])})
+        fragment_of = of_parent[hit.sum() :]
         begun = new_tracks(self._next_id, frame_index, seen.take(new), errors[new], fragment_of)
         self._next_id += len(new)
         return tracks.take(alive).append(begun), np.concatenate([pairs[alive], new])

@@ -277,15 +277,24 @@ def test_residuals_of_scattered_pixels():
 # ---- fragments and borders
 
 
-def test_fragments_lie_on_the_whole_but_not_beside_the_piece_that_goes_on():
+def test_fragments_lie_on_an_older_line_but_not_beside_the_piece_that_goes_on():
     whole = np.array([[[0, 0], [100, 0]]], np.float32)
-    seen = np.array([[[0, 0], [60, 0]]], np.float32)
-    pieces = np.array(
-        [[[65, 0], [100, 0]], [[20, 1], [50, 1]], [[65, 6], [100, 6]], [[90, 0], [160, 0]], [[65, -20], [100, 20]]],
-        np.float32,
-    )
-    assert parents(pieces, whole, seen).tolist() == [0, -1, -1, -1, -1]
-    assert parents(pieces, whole[:0], seen[:0]).tolist() == [-1] * 5
+    goes_on = [[0, 0], [60, 0]]
+    lines = [
+        [[65, 0], [100, 0]],
+        [[20, 0.5], [50, 0.5]],
+        [[65, 6], [100, 6]],
+        [[90, 0], [160, 0]],
+        [[65, -20], [100, 20]],
+    ]
+    assert parents(np.array([goes_on, *lines], np.float32), whole).tolist() == [-1, 0, -1, -1, -1, -1]
+    assert parents(np.array(lines, np.float32), whole[:0]).tolist() == [-1] * 5
+
+
+def test_of_two_tracks_on_one_line_the_younger_is_the_fragment():
+    whole = np.array([[[0, 0], [90, 0]], [[20, 0], [100, 0]]], np.float32)
+    seen = np.array([[[0, 0], [40, 0]], [[50, 0], [80, 0]]], np.float32)
+    assert parents(seen, whole).tolist() == [-1, 0]
 
 
 def test_pieces_inside_the_seen_line_are_absorbed():

@@ -153,8 +153,23 @@ def changes(records: Sequence[Record]) -> Changes:
 
 
 def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
-    """(T,) int64 number of frames in which each track was seen, itself or in fragments, in the order of the ids."""
-    return _counts([np.unique(record.tracked.identities) for record in records])
+    """(T,) int64 number of frames in which each track was seen, itself or in its fragments, in the order of the ids.
+
+    What was found out to be a fragment counts as one from its beginning.
+    """
+    whole = {
+        track: parent
+        for record in records
+        for track, parent in zip(record.tracked.ids.tolist(), record.tracked.fragment_of.tolist(), strict=True)
+        if parent >= 0
+    }
+
+    def root(track: int) -> int:
+        while track in whole:
+            track = whole[track]
+        return track
+
+    return _counts([np.unique([root(track) for track in record.tracked.ids.tolist()]) for record in records])
 
 
 def pure_length(records: Sequence[Record]) -> float | None:

@@ -32,7 +32,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     confirm_hits: int = 3
     max_missed: int = 30
-    max_missed_tentative: int = 15
+    max_missed_tentative: int = 20
     band: float = 2.5
     lost_band: float = 1.0
     max_band: float = 10.0

@@ -1,4 +1,4 @@
-"""Lines that broke: which new lines are pieces of a line that is tracked already."""
+"""Lines that broke: which lines are pieces of another track's line."""
 
 from __future__ import annotations
 
@@ -8,46 +8,47 @@ from numpy.typing import NDArray
 
 from frontend.tracking.overlap import beside
 
-MAX_DISTANCE = 2.0  # px of a piece from the line it broke from
+MAX_DISTANCE = 1.0  # px of a piece from the line it broke from
 MIN_COS = np.cos(np.deg2rad(8.0))  # of the angle between both
 MIN_INSIDE = 0.5  # share of a piece within the extent of the whole line
 MAX_TWICE = 0.3  # share of a piece beside the piece that the track goes on with: more is a parallel line
 
 
-def parents(pieces: NDArray[np.float32], whole: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The track that each line is a piece of.
+def parents(seen: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The older track whose line each line is a piece of.
 
     Args:
-        pieces: (M, 2, 2) float32 px, lines that no track goes on with.
-        whole: (N, 2, 2) float32 px, fused segments of the tracks that were seen in this frame.
-        seen: (N, 2, 2) float32 px, the lines they go on with.
+        seen: (M, 2, 2) float32 px, the lines of this frame: first those of the N tracks that go on, by their age, then
+            those of no track yet.
+        whole: (N, 2, 2) float32 px, the tracks' fused segments.
 
     Returns:
         (M,) int64 row of the track, or -1.
     """
-    rows: NDArray[np.int64] = _parents(pieces, whole, seen)
+    rows: NDArray[np.int64] = _parents(seen, whole)
     return rows
 
 
 @njit(cache=True, nogil=True)
-def _parents(pieces, whole, seen):  # type: ignore[no-untyped-def]
-    rows = np.full(len(pieces), -1, np.int64)
-    for m in range(len(pieces)):
-        length = np.hypot(pieces[m, 1, 0] - pieces[m, 0, 0], pieces[m, 1, 1] - pieces[m, 0, 1])
+def _parents(seen, whole):  # type: ignore[no-untyped-def]
+    rows = np.full(len(seen), -1, np.int64)
+    for m in range(len(seen)):
+        piece = seen[m]
+        length = np.hypot(piece[1, 0] - piece[0, 0], piece[1, 1] - piece[0, 1])
         nearest = MAX_DISTANCE
-        mx, my = 0.5 * (pieces[m, 0, 0] + pieces[m, 1, 0]), 0.5 * (pieces[m, 0, 1] + pieces[m, 1, 1])
+        mx, my = 0.5 * (piece[0, 0] + piece[1, 0]), 0.5 * (piece[0, 1] + piece[1, 1])
         reach = 0.5 * length + MAX_DISTANCE
-        for n in range(len(whole)):
+        for n in range(min(m, len(whole))):
             a, b = whole[n, 0], whole[n, 1]
             if mx + reach < min(a[0], b[0]) or mx - reach > max(a[0], b[0]):
                 continue
             if my + reach < min(a[1], b[1]) or my - reach > max(a[1], b[1]):
                 continue
-            shared, at_low, at_high, cosine = beside(whole[n], pieces[m])
+            shared, at_low, at_high, cosine = beside(whole[n], piece)
             distance = max(at_low, at_high)
             if shared < MIN_INSIDE * length or abs(cosine) < MIN_COS or distance >= nearest:
                 continue
-            if beside(seen[n], pieces[m])[0] <= MAX_TWICE * length:
+            if beside(seen[n], piece)[0] <= MAX_TWICE * length:
                 nearest, rows[m] = distance, n
     return rows
 
