@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frontend.tracking.overlap import beside
+from frontend.tracking.overlap import beside, lines_near
 
 MAX_DISTANCE = 1.0  # px of a piece from the line it broke from
 MIN_COS = np.cos(np.deg2rad(8.0))  # of the angle between both
@@ -32,18 +32,17 @@ def parents(seen: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np
 @njit(cache=True, nogil=True)
 def _parents(seen, whole):  # type: ignore[no-untyped-def]
     rows = np.full(len(seen), -1, np.int64)
+    half = np.float32(0.5)
+    x, y = half * (whole[:, 0, 0] + whole[:, 1, 0]), half * (whole[:, 0, 1] + whole[:, 1, 1])
+    lengths = np.hypot(whole[:, 1, 0] - whole[:, 0, 0], whole[:, 1, 1] - whole[:, 0, 1])
+    near = np.empty(len(whole), np.int64)
     for m in range(len(seen)):
-        piece = seen[m]
+        piece, nearest = seen[m], MAX_DISTANCE
         length = np.hypot(piece[1, 0] - piece[0, 0], piece[1, 1] - piece[0, 1])
-        nearest = MAX_DISTANCE
-        mx, my = 0.5 * (piece[0, 0] + piece[1, 0]), 0.5 * (piece[0, 1] + piece[1, 1])
-        reach = 0.5 * length + MAX_DISTANCE
-        for n in range(min(m, len(whole))):
-            a, b = whole[n, 0], whole[n, 1]
-            if mx + reach < min(a[0], b[0]) or mx - reach > max(a[0], b[0]):
-                continue
-            if my + reach < min(a[1], b[1]) or my - reach > max(a[1], b[1]):
-                continue
+        for c in range(lines_near(piece, length, MAX_DISTANCE, x, y, lengths, np.sqrt(1 - MIN_COS**2), near)):
+            n = near[c]
+            if n >= m:
+                break
             shared, at_low, at_high, cosine = beside(whole[n], piece)
             distance = max(at_low, at_high)
             if shared < MIN_INSIDE * length or abs(cosine) < MIN_COS or distance >= nearest:

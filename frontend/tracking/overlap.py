@@ -117,7 +117,7 @@ def _votes(  # type: ignore[no-untyped-def]
     for i in range(len(tracks)):
         track, band = tracks[i], bands[i]
         length = np.hypot(track[1, 0] - track[0, 0], track[1, 1] - track[0, 1])
-        for c in range(_lines_near(track, length, band, x, y, lengths, np.sqrt(1 - min_cos**2), near)):
+        for c in range(lines_near(track, length, band, x, y, lengths, np.sqrt(1 - min_cos**2), near)):
             j = near[c]
             shared, at_low, at_high, cosine = beside(track, lines[j])
             distance = 0.5 * (at_low + at_high)
@@ -142,7 +142,7 @@ def _votes(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lines_near(track, length, band, x, y, lengths, slant, near):  # type: ignore[no-untyped-def]
+def lines_near(track, length, band, x, y, lengths, slant, near):  # type: ignore[no-untyped-def]
     """Write down which lines may lie beside a track, and return how many; most of the time goes into saying no."""
     mx, my = np.float32(0.5) * (track[0, 0] + track[1, 0]), np.float32(0.5) * (track[0, 1] + track[1, 1])
     dx, dy = track[1, 0] - track[0, 0], track[1, 1] - track[0, 1]
