@@ -13,10 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from airline.errors import InputError
+from airline.evaluation.repeatability import warp
 from airline.scenes import Sequence
 from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.clip import Truth
-from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies, transformed
+from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
 from frontend.evaluation.occluder import Occluder, cut_by_discs
 from frontend.evaluation.rendered import RenderedClip, rendered_clips
 from frontend.frame import Frame
@@ -102,7 +103,7 @@ def test_fast_reaches_forty_pixels_per_frame() -> None:
         pose, following = sequence.pose(i), sequence.pose(i + 1)
         turn = sequence.K @ following[:3, :3].T @ pose[:3, :3] @ np.linalg.inv(sequence.K)
         corners = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
-        moved.append(np.hypot(*(transformed(corners, turn) - corners).T))
+        moved.append(np.hypot(*(warp(corners, turn) - corners).T))
     motion = np.array(moved)
     assert 38 < motion.max() < 50
     assert 25 < motion[:, 4].max() < 35
@@ -221,12 +222,10 @@ def test_homographies_are_smooth_keep_inside_and_move_as_a_hand_does(photo_size:
     corners = np.array([[0.0, 0], [view[0] - 1, 0], [0, view[1] - 1], [view[0] - 1, view[1] - 1]])
     for seed in range(6):
         moves = smooth_homographies(photo_size, view, 120, seed)
-        outline = np.stack([transformed(corners, np.linalg.inv(move)) for move in moves])
+        outline = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
         assert (outline >= 0).all()
         assert (outline <= np.array(photo_size) - 1).all()
-        steps = np.linalg.norm(
-            [transformed(transformed(corners, np.linalg.inv(a)), b) - corners for a, b in pairwise(moves)], axis=2
-        )
+        steps = np.linalg.norm([warp(warp(corners, np.linalg.inv(a)), b) - corners for a, b in pairwise(moves)], axis=2)
         assert 2 < steps.mean() < 12
         assert 5 < steps.max() < 20
         assert np.linalg.norm(np.diff(outline, 2, axis=0), axis=2).max() < 8
@@ -241,7 +240,7 @@ def test_the_image_follows_the_homography(photo: MovedPhoto) -> None:
     width, height = clip.size
     for (frame, _), move in zip(clip, clip.homographies(), strict=True):
         image = grey(frame) - np.median(frame.image)
-        expected = transformed(dots.astype(np.float64), move)
+        expected = warp(dots.astype(np.float64), move)
         inside = ((expected > 8) & (expected < np.array([width, height]) - 9)).all(axis=1)
         assert inside.sum() > 10
         for x, y in expected[inside]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError
+from airline.evaluation.repeatability import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.clip import Clip, Truth
@@ -132,14 +133,8 @@ def _homography(photo: tuple[int, int], view: tuple[int, int], wave: NDArray[np.
 def _stays_inside(moves: NDArray[np.float64], photo: tuple[int, int], view: tuple[int, int]) -> bool:
     right, bottom = view[0] - 1, view[1] - 1
     corners = np.array([[0, 0], [right, 0], [0, bottom], [right, bottom]], np.float64)
-    seen = np.stack([transformed(corners, np.linalg.inv(move)) for move in moves])
+    seen = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
     return bool((seen >= 0).all() and (seen <= np.array(photo) - 1).all())
-
-
-def transformed(points: NDArray[np.float64], homography: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., 2) points mapped by a (3, 3) homography."""
-    mapped = points @ homography[:, :2].T + homography[:, 2]
-    return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], size: tuple[int, int]) -> Truth:
@@ -154,7 +149,7 @@ def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], siz
         The parts between the centres of the outermost pixels that are at least as long as a rendered clip's shortest
         line; ids are rows of `lines`.
     """
-    segments = transformed(lines.astype(np.float64), homography)
+    segments = warp(lines.astype(np.float64), homography)
     start, delta = segments[:, 0], segments[:, 1] - segments[:, 0]
     limit = np.array(size) - 1.0
     # Liang and Barsky: along each axis the line is inside between two parameters.
