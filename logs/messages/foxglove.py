@@ -1,0 +1,171 @@
+"""Foxglove's camera messages in protobuf, JSON and ROS 2 CDR.
+
+The schemas are those of https://docs.foxglove.dev/docs/sdk/schemas. Fields that newer versions add are passed over in
+protobuf and JSON; CDR has no room for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from typing import Annotated, Any
+
+import msgspec
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage as ProtobufRawImage
+from google.protobuf.message import DecodeError, Message
+
+from logs.messages.annexb import video_format
+from logs.messages.stamps import stamp_ns
+from logs.messages.types import Bytes, CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
+
+_PROTOBUF: dict[str, type[Message]] = {
+    "RawImage": ProtobufRawImage,
+    "CompressedImage": CompressedImage,
+    "CompressedVideo": CompressedVideo,
+    "CameraCalibration": CameraCalibration,
+}
+_CDR_FIELDS = {
+    "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
+    "CompressedImage": "uint8[] data\nstring format",
+    "CompressedVideo": "uint8[] data\nstring format",
+    "CameraCalibration": "uint32 width\nuint32 height\nstring distortion_model\n"
+    "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
+}
+
+
+_Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+
+
+class _JsonTime(msgspec.Struct):
+    sec: int
+    nsec: int
+
+
+class _JsonMessage(msgspec.Struct):
+    timestamp: _JsonTime
+    frame_id: str = ""
+
+
+class _JsonRawImage(_JsonMessage, kw_only=True):
+    width: _Uint32
+    height: _Uint32
+    encoding: str
+    step: _Uint32
+    data: bytes  # msgspec decodes the base64
+
+
+class _JsonCompressed(_JsonMessage, kw_only=True):
+    data: bytes
+    format: str = ""
+
+
+class _JsonCalibration(_JsonMessage, kw_only=True):
+    width: _Uint32
+    height: _Uint32
+    distortion_model: str = ""
+    D: list[float] = []
+    K: list[float]
+    R: list[float] = []
+    P: list[float] = []
+
+
+_JSON: dict[str, type[_JsonMessage]] = {
+    "RawImage": _JsonRawImage,
+    "CompressedImage": _JsonCompressed,
+    "CompressedVideo": _JsonCompressed,
+    "CameraCalibration": _JsonCalibration,
+}
+
+
+def _raw_image(message: Any, stamp: int) -> RawImage:
+    sizes = message.width, message.height
+    return RawImage(stamp, message.frame_id, *sizes, message.encoding, message.step, False, _data(message))
+
+
+def _compressed_image(message: Any, stamp: int) -> EncodedImage:
+    return EncodedImage(stamp, message.frame_id, _data(message))
+
+
+def _compressed_video(message: Any, stamp: int) -> VideoPacket:
+    coding = video_format(message.format)
+    if coding is None:
+        raise UndecodableError("video format is not readable", message.format[:40])
+    return VideoPacket(stamp, message.frame_id, coding, _data(message))
+
+
+def _camera_calibration(message: Any, stamp: int) -> CameraInfo:
+    capital = hasattr(message, "K")  # small letters in ROS 2
+    d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
+    r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    p = p or _without_rectification(k)
+    if (len(k), len(r), len(p)) != (9, 9, 12):
+        raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
+    return CameraInfo(stamp, message.frame_id, message.width, message.height, message.distortion_model, d, k, r, p)
+
+
+def _data(message: Any) -> Bytes:
+    data: Bytes = message.data if isinstance(message.data, bytes) else message.data.data  # an array in CDR
+    return data
+
+
+def _without_rectification(k: Sequence[float]) -> tuple[float, ...]:
+    return (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+
+
+_RECORDS: dict[str, Callable[[Any, int], Record]] = {
+    "RawImage": _raw_image,
+    "CompressedImage": _compressed_image,
+    "CompressedVideo": _compressed_video,
+    "CameraCalibration": _camera_calibration,
+}
+
+
+def _read_protobuf(kind: str, data: Bytes) -> Record:
+    message: Any = _PROTOBUF[kind]()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise UndecodableError("damaged message", str(error)) from error
+    return _RECORDS[kind](message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
+
+
+def _read_json(kind: str, data: Bytes) -> Record:
+    try:
+        message = msgspec.json.decode(data, type=_JSON[kind])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise UndecodableError("damaged message", str(error)) from error
+    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
+
+
+@cache
+def _cdr_store() -> Any:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for kind, fields in _CDR_FIELDS.items():
+        text = f"builtin_interfaces/Time timestamp\nstring frame_id\n{fields}\n"
+        store.register(get_types_from_msg(text, f"foxglove_msgs/msg/{kind}"))
+    return store
+
+
+def _read_cdr(kind: str, data: Bytes) -> Record:
+    from logs.messages.ros import read_cdr
+
+    message = read_cdr(_cdr_store(), f"foxglove_msgs/msg/{kind}", data)
+    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
+
+
+_READERS = {"protobuf": _read_protobuf, "json": _read_json, "cdr": _read_cdr}
+
+
+def reader(name: str, encoding: str) -> Callable[[Bytes], Record]:
+    """How to read messages of "foxglove.<type>" in "protobuf" or "json", or of "foxglove_msgs/<type>" in "cdr".
+
+    Returns:
+        A function from a message to its record; it raises UndecodableError.
+    """
+    kind = name.removeprefix("foxglove.").removeprefix("foxglove_msgs/")
+    return partial(_READERS[encoding], kind)

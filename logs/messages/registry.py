@@ -1,0 +1,52 @@
+"""Which messages are camera images and calibrations, and which of them can be read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from importlib import import_module
+
+from logs.messages.types import Bytes, Record
+
+_IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket"}
+_CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
+_ROS = [f"sensor_msgs/{kind}" for kind in ("Image", "CompressedImage", "CameraInfo")]
+_FOXGLOVE = ["RawImage", "CompressedImage", "CompressedVideo", "CameraCalibration"]
+_MODULES = {
+    **{(name, encoding): "ros" for name in _ROS for encoding in ("cdr", "ros1")},
+    **{(f"foxglove.{kind}", encoding): "foxglove" for kind in _FOXGLOVE for encoding in ("protobuf", "json")},
+    **{(f"foxglove_msgs/{kind}", "cdr"): "foxglove" for kind in _FOXGLOVE},
+}
+
+
+def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | None:
+    """How to read messages of one type; the libraries this takes are imported now.
+
+    Args:
+        schema_name: such as "sensor_msgs/msg/Image" (ROS 2), "sensor_msgs/Image" (ROS 1) or "foxglove.RawImage".
+        encoding: of the messages: "cdr", "ros1", "protobuf" or "json".
+
+    Returns:
+        A function from a message's bytes to its record, for any thread. It raises UndecodableError and nothing else,
+        whatever the bytes are. None for types that are not readable here.
+    """
+    name = schema_name.replace("/msg/", "/")
+    module = _MODULES.get((name, encoding))
+    if module is None:
+        return None
+    read: Callable[[Bytes], Record] = import_module(f"logs.messages.{module}").reader(name, encoding)
+    return read
+
+
+def is_image_type(schema_name: str) -> bool:
+    """Whether messages of this type are camera images, readable here or not."""
+    return _last(schema_name) in _IMAGES
+
+
+def is_calibration_type(schema_name: str) -> bool:
+    """Whether messages of this type are camera calibrations, readable here or not."""
+    return _last(schema_name) in _CALIBRATIONS
+
+
+def _last(schema_name: str) -> str:
+    return re.split(r"[./:]", schema_name)[-1]
