@@ -20,7 +20,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "input",
         nargs="?",
-        help="video file, image folder or glob, camera index, stream URL or .mcap log (default: the built-in clip)",
+        help="video file, image folder or glob, camera index, stream URL or log (default: the built-in clip)",
     )
     parser.add_argument("--version", action="version", version=f"airline-frontend {__version__}")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice for debugging")
@@ -28,6 +28,16 @@ def build_parser() -> argparse.ArgumentParser:
     output.add_argument("--save", type=Path, metavar="FILE.rrd", help="record into this file instead of a viewer")
     output.add_argument("--headless", action="store_true", help="open no viewer even where there is a display")
     output.add_argument("--summary", type=Path, metavar="FILE.json", help="write the final figures as JSON")
+    output.add_argument(
+        "--out",
+        action="append",
+        default=[],
+        metavar="TRACKS",
+        help="write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/ or plvins.mcap; may be given several times",
+    )
+    output.add_argument("--overwrite", action="store_true", help="replace what --out names if it exists")
+    output.add_argument("--with-images", action="store_true", help="put the images into --out FILE.mcap")
+    output.add_argument("--labels", action="store_true", help="write the ids beside the lines of --out FILE.mcap")
     frames = parser.add_argument_group("frames")
     frames.add_argument("--start", type=float, metavar="S", help="skip the first S seconds")
     frames.add_argument("--end", type=float, metavar="S", help="stop S seconds after the first frame")
@@ -35,7 +45,15 @@ def build_parser() -> argparse.ArgumentParser:
     frames.add_argument("--max-frames", type=int, metavar="N", help="stop after N frames")
     frames.add_argument("--resize", metavar="WxH", help="resize frames, e.g. 640x480, or 640 to keep the aspect")
     frames.add_argument("--fps", type=float, help="frame rate of image folders without timestamps")
-    frames.add_argument("--topic", help="image topic of a log")
+    logs = parser.add_argument_group("logs")
+    logs.add_argument("--topic", help="image topic")
+    logs.add_argument("--list-topics", action="store_true", help="print image and calibration topics and exit")
+    logs.add_argument("--time-source", choices=["header", "publish", "log"], help="where times come from")
+    camera = parser.add_argument_group("camera")
+    camera.add_argument(
+        "--calib", metavar="FILE", help="calibration: EuRoC, Kalibr or ROS YAML, or JSON (default: the log's)"
+    )
+    camera.add_argument("--undistort", action="store_const", const=True, help="remove lens distortion before detection")
     model = parser.add_argument_group("detector")
     model.add_argument("--preset", choices=["default", "fast", "paper"], help="settings to start from")
     model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
@@ -48,7 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """The flags that were given, in the settings' own structure."""
-    names = ("start", "end", "stride", "max_frames", "resize", "fps", "topic")
+    names = ("start", "end", "stride", "max_frames", "resize", "fps", "topic", "time_source", "calib", "undistort")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}
     for name in ("preset", "device"):

@@ -27,6 +27,9 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         resize: "WIDTHxHEIGHT", or "WIDTH" to keep the aspect.
         fps: frame rate of folders without timestamps.
         topic: image topic of a log.
+        time_source: where a log's times come from: the messages' headers, their publish time or the log's clock.
+        calib: file with the camera's calibration.
+        undistort: whether lens distortion is removed before detection.
     """
 
     start: Annotated[float, Meta(ge=0)] | None = None
@@ -36,6 +39,9 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     resize: str | None = None
     fps: Annotated[float, Meta(gt=0)] = 30.0
     topic: str | None = None
+    time_source: Literal["header", "publish", "log"] = "header"
+    calib: str | None = None
+    undistort: bool = False
 
     def __post_init__(self) -> None:
         start = self.start or 0.0

@@ -1,18 +1,48 @@
-"""Recordings in and out."""
+"""Recordings in and out: logs with camera images are sources, files of tracked lines are sinks."""
 
 from __future__ import annotations
 
+import os
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from logs.mcap_source import McapSource
+    from logs.read import read_tracks
+    from logs.sinks.mcap_tracks import McapTrackSink
+    from logs.source import LogImageSource, McapImageSource
+    from logs.stamps import TimeSource
 
-__all__ = ["McapSource"]
+__all__ = ["LogImageSource", "McapImageSource", "McapTrackSink", "open_images", "read_tracks"]
+
+# Loaded on first use: OpenCV and the readers of all the formats take time to import.
+_MODULES = {
+    "LogImageSource": "logs.source",
+    "McapImageSource": "logs.source",
+    "McapTrackSink": "logs.sinks.mcap_tracks",
+    "read_tracks": "logs.read",
+}
+
+
+def open_images(
+    path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
+) -> LogImageSource:
+    """The images of one topic of any log that can be read: MCAP, ROS 1 .bag, a ROS 2 bag folder.
+
+    Args:
+        path: the log.
+        topic: the image topic; may be left out if there is only one.
+        time_source: where stamps come from: "header", "publish" or "log".
+
+    Raises:
+        InputError: no log that can be read, or no such topic.
+    """
+    from logs.files import open_log
+    from logs.source import LogImageSource
+
+    return LogImageSource(open_log(path), topic, time_source=time_source)
 
 
 def __getattr__(name: str) -> Any:
-    if name == "McapSource":  # on first use: OpenCV and the MCAP readers take time to import
-        from logs.mcap_source import McapSource
-
-        return McapSource
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'logs' has no attribute '{name}'")

@@ -231,7 +231,7 @@ def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypat
     cv2.imwrite(str(tmp_path / "1" / "0.png"), drawn(0))
     for spec in ("1", "1/*.png", "1/0.png"):
         assert isinstance(open_source(spec), FolderSource)
-    with pytest.raises(InputError, match=r"logs\.McapSource"):
+    with pytest.raises(InputError, match=r"logs\.open_images"):
         open_source("drive.mcap")
     with pytest.raises(ConfigError, match="topic"):
         open_source("0", topic="/camera")

@@ -24,7 +24,7 @@ def open_source(
 
     Args:
         spec: a video file, a folder of images or one image, a glob pattern, a camera's number or a stream's URL.
-        topic: only logs have topics, and `logs.McapSource` opens those.
+        topic: only logs have topics, and `logs.open_images` opens those.
         fps: frames per second of images without times.
         start_s, end_s: seconds since the first frame; start is included, end is not.
 
@@ -33,8 +33,8 @@ def open_source(
         ConfigError: an argument that is impossible, or does not fit this kind of source.
     """
     text = os.fspath(spec)
-    if Path(text).suffix.lower() in (".mcap", ".bag"):
-        raise InputError(f"'{text}' is a log: open it with logs.McapSource")
+    if Path(text).suffix.lower() in (".mcap", ".bag", ".db3"):
+        raise InputError(f"'{text}' is a log: open it with logs.open_images")
     if topic is not None:
         raise ConfigError(f"a topic is for logs, and '{text}' is not one: leave the topic out")
     source = _open(text, fps)

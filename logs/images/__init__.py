@@ -1,0 +1,1 @@
+"""From the records of messages to pixels."""

@@ -1,0 +1,1 @@
+"""What messages of logs say, whatever format they are in."""

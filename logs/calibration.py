@@ -1,0 +1,135 @@
+"""Cameras out of calibration messages, and which calibration topic belongs to which images.
+
+Fields mean what ROS's sensor_msgs/CameraInfo documents; those of foxglove.CameraCalibration are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from airline.errors import ConfigError, InputError
+from frontend.calibration import LARGEST, MAX_SIDE, fit_camera
+from frontend.camera import CameraModel
+from frontend.lens import lens
+from logs.messages.types import CameraInfo
+
+_RECTIFIED = frozenset({"rect", "rectified"})
+_TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h264", "h265", "zstd", "draco"})
+
+
+def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) -> CameraModel:
+    """The camera that took the images a calibration message describes.
+
+    Raw images are described by K and the distortion, rectified ones by P alone. Both refer to the full sensor: a region
+    of interest moves the principal point, then binning scales the camera. A binned pixel is the mean of its block, so
+    the principal point also moves by what separates the block's centre from that of its first pixel; ROS's
+    image_geometry leaves that out.
+
+    Args:
+        info: the message.
+        image_size: width and height of the images, px. A calibration for another size with the same aspect is scaled.
+        rectified: whether the images are rectified.
+
+    Raises:
+        InputError: the camera is uncalibrated (ROS sends zeros then), its model is not supported, a number makes no
+            sense, or the images have another aspect.
+    """
+    if not all(abs(number) <= LARGEST for number in (*info.d, *info.k, *info.p)):  # NaN fails, too
+        raise InputError("the calibration holds numbers that make no sense")
+    fx, fy, cx, cy = _pinhole(info, rectified)
+    width, height = info.width or image_size[0], info.height or image_size[1]
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise InputError(f"the calibration is for images of {width}x{height} px, which makes no sense")
+    try:
+        distortion = lens("none", ()) if rectified else lens(info.distortion_model, info.d)
+        camera = CameraModel(width, height, fx, fy, cx, cy, *distortion)
+    except ConfigError as error:
+        raise InputError(str(error)) from None
+    return fit_camera(_as_sent(camera, info), *image_size)
+
+
+def is_rectified(image_topic: str) -> bool:
+    """Whether a topic's name says that its images are rectified, as `/left/image_rect_color/compressed` does."""
+    return any(not _RECTIFIED.isdisjoint(part.split("_")) for part in _parts(image_topic))
+
+
+def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str | None:
+    """The calibration topic that belongs to an image topic.
+
+    It is the one in the same namespace (`/cam/camera_info` for `/cam/image_raw/compressed`, `/cam/calibration` for
+    `/cam/image`), or else in the nearest enclosing one except the root. The only calibration topic of a log is also
+    taken from the root or from below the images' namespace. Of several in one namespace the name decides.
+
+    Returns:
+        None where there is none, or where it would be a guess between several.
+    """
+    image = _parts(image_topic)
+    if len(image) > 1 and image[-1] in _TRANSPORTS:
+        image = image[:-1]
+    spaces = {topic: _parts(topic)[:-1] for topic in calibration_topics if _parts(topic)}
+    if len(spaces) == 1:
+        ((topic, space),) = spaces.items()
+        fits = image[: len(space)] == space or space[: len(image) - 1] == image[:-1]
+        return topic if fits else None
+    depths = {topic: len(space) for topic, space in spaces.items() if image[: len(space)] == space}
+    depth = max(depths.values(), default=0)
+    if not depths or (depth == 0 and len(image) > 1):
+        return None
+    nearest = [topic for topic in depths if depths[topic] == depth]
+    return nearest[0] if len(nearest) == 1 else _by_name("".join(image[depth : depth + 1]), nearest)
+
+
+def _pinhole(info: CameraInfo, rectified: bool) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of the full sensor."""
+    name, matrix, columns = "K", info.k, 3
+    if rectified and (any(info.p) or any(info.d)):  # a lens without distortion may come without P
+        name, matrix, columns = "P", info.p, 4
+    if len(matrix) != 3 * columns:
+        raise InputError(f"the calibration has {len(matrix)} numbers where {name} has {3 * columns}")
+    fx, skew, cx = matrix[:3]
+    slant, fy, cy = matrix[columns : columns + 3]
+    if not (fx and fy):
+        raise InputError(f"the camera is uncalibrated: the focal length in {name} is zero")
+    if skew or slant:
+        raise InputError(f"the calibration's {name} has skew, which is not supported")
+    return fx, fy, cx, cy
+
+
+def _as_sent(camera: CameraModel, info: CameraInfo) -> CameraModel:
+    """The camera of the region of interest, binned, in place of the full sensor's."""
+    x, y, width, height = info.roi
+    if any(info.roi):
+        width, height = width or camera.width - x, height or camera.height - y
+        if min(x, y) < 0 or min(width, height) < 1 or x + width > camera.width or y + height > camera.height:
+            raise InputError("the calibration's region of interest lies outside of the sensor")
+        camera = replace(camera, width=width, height=height, cx=camera.cx - x, cy=camera.cy - y)
+    across, down = (max(1, binning) for binning in info.binning)
+    if across == down == 1:
+        return camera
+    columns, rows = camera.width // across, camera.height // down
+    if min(columns, rows) < 1:
+        raise InputError("the calibration's binning leaves no pixel")
+    return replace(camera, width=columns * across, height=rows * down).scaled(columns, rows)
+
+
+def _by_name(image: str, topics: Collection[str]) -> str | None:
+    """The topic of a namespace that shares most with the image's name: its first words, else "rect" or its absence."""
+    words = image.split("_")
+
+    def likeness(topic: str) -> tuple[int, bool, bool]:
+        leaf = _parts(topic)[-1]
+        shared = 0
+        for word, other in zip(words, leaf.split("_"), strict=False):
+            if word != other:
+                break
+            shared += 1
+        return shared, is_rectified(leaf) == is_rectified(image), leaf == "camera_info"
+
+    best, second = sorted(topics, key=likeness, reverse=True)[:2]
+    named = likeness(best)[0] > 0 or _parts(best)[-1].startswith("camera_info")
+    return best if named and likeness(best) > likeness(second) else None
+
+
+def _parts(topic: str) -> list[str]:
+    return [part for part in topic.split("/") if part]

@@ -1,0 +1,144 @@
+"""ROS bags through the rosbags library: ROS 1 files, and ROS 2 folders and files with SQLite or MCAP inside."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from itertools import chain
+from pathlib import Path
+
+import apsw
+from natsort import natsorted
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection
+
+from airline.errors import InputError
+from logs.files.types import LogMessage, Topic, TopicType
+
+_WINDOW_NS = 10**9  # messages are read backwards in windows of this length
+_DAMAGE = (
+    rosbag1.ReaderError,
+    rosbag2.ReaderError,
+    apsw.Error,
+    zlib.error,
+    struct.error,
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    RuntimeError,
+    EOFError,
+    MemoryError,
+    OverflowError,
+    AssertionError,
+)
+
+Reader = rosbag1.Reader | rosbag2.Reader
+
+
+class BagFile:
+    """A ROS 1 `.bag`, a ROS 2 bag folder, or a `.db3` file out of one; see `LogFile`.
+
+    The files of a folder without `metadata.yaml`, which a killed recorder leaves behind, are read one after the other.
+    A message's publishing time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
+
+    Args:
+        path: file or folder.
+
+    Raises:
+        InputError: it cannot be read, or is no bag.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = Path(path)
+        self._lost: Counter[str] = Counter()
+        self._readers: list[Reader] = []
+        with ExitStack() as opened:
+            try:
+                for reader in _readers(self._path):
+                    opened.enter_context(reader)
+                    self._readers.append(reader)
+            except _DAMAGE as error:
+                raise InputError(
+                    f"cannot read the bag '{self._path}' ({error}): if its recording was interrupted, reindex it"
+                ) from error
+            self._opened = opened.pop_all()
+        connections = [connection for reader in self._readers for connection in reader.connections]
+        self._topics: dict[str, Topic] = {}
+        for connection in connections:
+            counted = self._topics[connection.topic].count or 0 if connection.topic in self._topics else 0
+            self._topics[connection.topic] = Topic(self._type(connection), counted + connection.msgcount)
+
+    @property
+    def name(self) -> str:
+        return self._path.stem if self._path.is_file() else self._path.resolve().name
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        return {name: topic for name, topic in self._topics.items() if topic.count}
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        spans = [(reader.start_time, reader.end_time - 1) for reader in self._readers if reader.message_count]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    @property
+    def indexed(self) -> bool:
+        return True
+
+    @property
+    def lost(self) -> Mapping[str, int]:
+        return dict(self._lost)
+
+    def messages(self, topic: str, start_ns: int | None = None, *, reverse: bool = False) -> Iterator[LogMessage]:
+        if not reverse:
+            return chain.from_iterable(self._read(reader, topic, start_ns, None) for reader in self._readers)
+        return chain.from_iterable(self._backwards(reader, topic, start_ns) for reader in reversed(self._readers))
+
+    def close(self) -> None:
+        self._opened.close()
+
+    def _read(self, reader: Reader, topic: str, start_ns: int | None, stop_ns: int | None) -> Iterator[LogMessage]:
+        """Messages from start_ns up to before stop_ns, or to where the bag is damaged."""
+        wanted = [connection for connection in reader.connections if connection.topic == topic]
+        if not wanted:  # no connections would mean all of them
+            return
+        try:
+            for connection, log_ns, data in reader.messages(wanted, start=start_ns, stop=stop_ns):
+                yield LogMessage(topic, self._type(connection), log_ns, log_ns, data)
+        except _DAMAGE as error:
+            self._lost[f"everything behind a damaged place of the bag ({error})"[:200]] += 1
+
+    def _backwards(self, reader: Reader, topic: str, stop_ns: int | None) -> Iterator[LogMessage]:
+        if not reader.message_count:
+            return
+        first, stop = reader.start_time, reader.end_time
+        stop = stop if stop_ns is None else min(stop, stop_ns)
+        window = _WINDOW_NS
+        while stop > first:
+            found = list(self._read(reader, topic, stop - window, stop))
+            yield from reversed(found)
+            stop -= window
+            window = _WINDOW_NS if found else 2 * window
+
+    def _type(self, connection: Connection) -> TopicType:
+        ros1 = isinstance(connection.owner, rosbag1.Reader)
+        return TopicType(connection.msgtype, "ros1" if ros1 else "cdr")
+
+
+def _readers(path: Path) -> Iterator[Reader]:
+    if not path.is_dir():
+        with path.open("rb") as file:
+            ros1 = file.read(8) == b"#ROSBAG "
+        yield rosbag1.Reader(path) if ros1 else rosbag2.Reader(path)
+    elif (path / "metadata.yaml").is_file():
+        yield rosbag2.Reader(path)
+    else:
+        files = natsorted(child for child in path.iterdir() if child.suffix in (".db3", ".mcap"))
+        if not files:
+            raise InputError(f"the folder '{path}' holds no ROS bag: there is no metadata.yaml, .db3 or .mcap in it")
+        yield from map(rosbag2.Reader, files)

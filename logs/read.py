@@ -1,0 +1,87 @@
+"""Tracked lines back from the files that the sinks wrote."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from airline.errors import InputError
+from frontend.tracks import LineTracks
+from logs.tracks.schema import SCHEMA_NAME
+
+_GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 20 MB
+_BATCH_ROWS = 16_384
+
+
+def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
+    """The tracks of every frame, as they were written, one frame after the other.
+
+    Of a log or a journal that was cut, every frame that can be read is given out, with one warning.
+
+    Args:
+        path: a file of `McapTrackSink` or `ParquetTrackSink`, or the `.parquet.unfinished` journal of the latter.
+
+    Raises:
+        InputError: a file that is none of these, or that was damaged; for some damage, in the middle of the iteration.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"cannot read tracks from '{path}': there is no such file")
+    kinds = {".mcap": _read_mcap, ".parquet": _read_parquet, ".unfinished": _read_journal}
+    if path.suffix.lower() not in kinds:
+        raise InputError(f"cannot read tracks from '{path}': give a .mcap, .parquet or .parquet.unfinished file")
+    return kinds[path.suffix.lower()](path)
+
+
+def _read_mcap(path: Path) -> Iterator[LineTracks]:
+    from logs.files.mcap_file import McapFile
+    from logs.tracks.json import decode_tracks
+
+    file = McapFile(path)
+    try:
+        topics = [name for name, topic in file.topics.items() if topic.type.schema_name == SCHEMA_NAME]
+        if len(topics) != 1:
+            held = ", ".join(f"{name} ({topic.type})" for name, topic in file.topics.items()) or "no messages"
+            raise InputError(f"'{path}' has {len(topics)} topics of {SCHEMA_NAME}, not one: it holds {held}")
+        for message in file.messages(topics[0]):
+            try:
+                yield decode_tracks(message.data)
+            except InputError as error:
+                raise InputError(f"'{path}': the message at {message.log_ns} ns is {error}") from error
+    finally:
+        file.close()
+
+
+def _read_parquet(path: Path) -> Iterator[LineTracks]:
+    import pyarrow.parquet as pq
+
+    from logs.tracks.journal import DAMAGE
+    from logs.tracks.rows import COLUMNS, check_columns, read_frames
+    from logs.tracks.table import TableNotes
+
+    notes = TableNotes()
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            check_columns(file.schema_arrow)
+            groups = [file.metadata.row_group(k) for k in range(file.num_row_groups)]
+            if any(group.total_byte_size > _GROUP_BYTES for group in groups):
+                raise InputError(f"a row group claims more than {_GROUP_BYTES} bytes")
+            notes.add(file.metadata.metadata)
+            yield from read_frames(file.iter_batches(_BATCH_ROWS, columns=COLUMNS), notes)
+    except DAMAGE as error:
+        raise InputError(f"cannot read tracks from '{path}', it is no Parquet file or damaged: {error}") from error
+    except InputError as error:
+        raise InputError(f"cannot read tracks from '{path}': {error}") from error
+
+
+def _read_journal(path: Path) -> Iterator[LineTracks]:
+    from logs.tracks.journal import read_journal
+    from logs.tracks.rows import read_frames
+    from logs.tracks.table import TableNotes
+
+    notes = TableNotes()
+    try:
+        yield from read_frames(read_journal(path, notes), notes)
+    except InputError as error:
+        raise InputError(f"cannot read tracks from '{path}': {error}") from error

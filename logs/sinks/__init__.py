@@ -1,0 +1,1 @@
+"""Where tracked lines can be written."""

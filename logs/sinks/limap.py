@@ -1,0 +1,202 @@
+"""Tracked lines in the folder layout that LIMAP loads instead of detecting and matching lines itself.
+
+LIMAP (Liu et al., "3D Line Mapping Revisited", ICCV 2023; github.com/cvg/limap) asks for nothing but its
+own files, named after the detector, extractor and matcher of its configuration; the names here are those of
+`cfgs/triangulation/default_cpu.yaml`. With poses from elsewhere, as a COLMAP model that has all images under our ids:
+
+    python runners/colmap_triangulation.py -c cfgs/triangulation/default_cpu.yaml -a COLMAP_MODEL \\
+        --load_dir FOLDER --load_det --load_match --n_neighbors 20
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections import deque
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError, InputError
+from frontend.camera import CameraModel
+from frontend.protocols import FrameResult
+from frontend.tracks import LineTracks
+from logs.sinks.output import OutputFile, errors_of
+
+SEGMENTS = Path("line_detections/lsd/segments")
+MATCHES = Path("line_matchings/lsd/feats_lbd")
+IMAGES = Path("images.csv")
+CAMERAS = Path("cameras.txt")
+NEIGHBOURS = Path("metainfos.txt")
+
+_CORNER = 0.5
+_LARGEST_ID = 2**31 - 1
+
+
+class LimapTrackSink:
+    """Writes each frame's lines, and which of them are the same line in the frames around it; a `Sink`.
+
+    | file | what it holds |
+    |---|---|
+    | line_detections/lsd/segments/segments_ID.txt | number of lines, then x0 y0 x1 y1 of each |
+    | line_matchings/lsd/feats_lbd/lbd_nN_top0/matches_ID.npy | for each neighbour its (K, 2) pairs of rows |
+    | metainfos.txt | neighbours of each image, for `--load_meta`; written by `close` |
+    | cameras.txt | the camera of the lines, COLMAP's text format; where known |
+    | images.csv | image id and stamp of every image whose files are complete |
+
+    Image ids are frame numbers, lines the fused ones of all tracks. LIMAP wants images without distortion and follows
+    COLMAP, whose (0, 0) is the corner of the top-left pixel: lines are undistorted where the camera is known, for a
+    pinhole camera of the same focal lengths and principal point, and moved by half a pixel. So leave LIMAP's
+    `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
+    no undistortion reaches are left out.
+
+    After a crash the folder lacks `metainfos.txt` (`finish_folder` writes it) and, of the last images, the matches with
+    what came after.
+
+    Args:
+        folder: made if it does not exist.
+        neighbours: of each image, half of them before and half after it; LIMAP's `n_neighbors`.
+        overwrite: write into a folder that holds files; those of an earlier run are removed.
+
+    Raises:
+        InputError: the folder holds files, or cannot be written; a camera that changes.
+        ConfigError: an odd or negative number of neighbours.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:
+        if neighbours < 2 or neighbours % 2:
+            raise ConfigError(f"{neighbours} neighbours: give an even number, as many before as after each image")
+        self._folder = Path(folder)
+        check_folder(self._folder, overwrite)
+        self._matches = self._folder / MATCHES / f"lbd_n{neighbours}_top0"
+        with errors_of(self._folder):
+            _clear(self._folder)
+            for made in (self._folder / SEGMENTS, self._matches):
+                made.mkdir(parents=True, exist_ok=True)
+        self._neighbours = neighbours
+        self._images = OutputFile(self._folder / IMAGES, overwrite=True)
+        with self._images.writing() as file:
+            file.write(b"image_id,stamp_ns\n")
+        self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
+        self._camera: CameraModel | None = None
+        self._last = -1
+
+    def write(self, result: FrameResult) -> None:
+        """Add one frame."""
+        tracks = result.tracks
+        image = tracks.frame_index
+        if not self._last < image <= _LARGEST_ID:
+            raise InputError(f"cannot write '{self._folder}': frame {image} follows frame {self._last}")
+        self._last = image
+        with self._images.writing() as file, errors_of(self._folder):
+            self._write_camera(tracks.camera)
+            segments, ids = lines_for_limap(tracks)
+            self._match(image, ids)
+            _write_segments(self._folder / SEGMENTS / f"segments_{image}.txt", segments)
+            file.write(b"%d,%d\n" % (image, tracks.stamp_ns))
+            file.flush()
+
+    def close(self) -> None:
+        """Write the last matches and the table of neighbours; safe to call twice."""
+        if self._images.is_open:
+            self._images.close()
+            with errors_of(self._folder):
+                for image, _, matches in self._window:
+                    self._write_matches(image, matches)
+            self._window.clear()
+            finish_folder(self._folder, self._neighbours)
+
+    def _match(self, image: int, ids: NDArray[np.int64]) -> None:
+        """Match with the images before; an image is done with when its last neighbour has been seen."""
+        own: dict[int, NDArray[np.int32]] = {}
+        for earlier, earlier_ids, matches in self._window:
+            own[earlier] = _common_rows(ids, earlier_ids)
+            matches[image] = np.ascontiguousarray(own[earlier][:, ::-1])
+        self._write_matches(image, own)
+        self._window.append((image, ids, own))
+        if len(self._window) > self._neighbours // 2:
+            done, _, matches = self._window.popleft()
+            self._write_matches(done, matches)
+
+    def _write_matches(self, image: int, matches: dict[int, NDArray[np.int32]]) -> None:
+        path = self._matches / f"matches_{image}.npy"
+        whole = path.with_suffix(".tmp")
+        with whole.open("wb") as file:
+            _save_pickled(file, matches)
+        whole.replace(path)
+
+    def _write_camera(self, camera: CameraModel | None) -> None:
+        if camera is None or camera is self._camera:
+            return
+        text = _colmap_camera(camera)
+        if self._camera is not None and text != _colmap_camera(self._camera):
+            raise InputError(f"cannot write '{self._folder}': the camera changes, and LIMAP's files know only one")
+        (self._folder / CAMERAS).write_text(text, encoding="ascii")
+        self._camera = camera
+
+
+def lines_for_limap(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(K, 4) px without distortion, with (0, 0) at the corner of the top-left pixel, and the (K,) ids."""
+    camera, segments = tracks.camera, tracks.segments_px.astype(np.float64)
+    if camera is not None and camera.distortion != "none":
+        segments = camera.normalize(segments) * np.array([camera.fx, camera.fy]) + (camera.cx, camera.cy)
+    found = np.isfinite(segments).all((1, 2))
+    return (segments[found] + _CORNER).reshape(-1, 4), tracks.ids[found]
+
+
+def check_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse, before any work, a folder that holds files or cannot be made; raises InputError."""
+    if folder.is_dir():
+        if any(folder.iterdir()) and not overwrite:
+            raise InputError(f"'{folder}' holds files: choose an empty folder or give --overwrite")
+    elif folder.exists() or not os.path.isdir(folder.parent):  # noqa: PTH112
+        raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
+
+
+def finish_folder(folder: Path, neighbours: int) -> None:
+    """Write the table of neighbours of the images in `images.csv`, without limits on the extent of the scene."""
+    with errors_of(folder / NEIGHBOURS):
+        lines = (folder / IMAGES).read_text(encoding="ascii").splitlines()[1:]
+        images = [line.split(",")[0] for line in lines]
+        with (folder / NEIGHBOURS).open("w", encoding="ascii") as file:
+            file.write(f"number of images, {len(images)}\n")
+            file.writelines(f"{axis}-range, -inf, inf\n" for axis in "xyz")
+            for k, image in enumerate(images):
+                around = images[max(k - neighbours // 2, 0) : k] + images[k + 1 : k + 1 + neighbours // 2]
+                file.write(", ".join([f"image {image}", *around]) + "\n")
+
+
+def _save_pickled(file: BinaryIO, value: object) -> None:
+    """What `np.save` makes of an object, in a form that NumPy 1, which LIMAP runs with, loads too."""
+    np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": ()})
+    text = pickle.dumps(np.array(value, object), protocol=3)
+    file.write(text.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
+
+
+def _common_rows(ids: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(K, 2) rows of the ids that are in both arrays; both are ascending."""
+    places = np.searchsorted(others, ids)
+    rows = np.flatnonzero(others[places[places < len(others)]] == ids[places < len(others)])
+    return np.stack([rows, places[rows]], axis=1).astype(np.int32)
+
+
+def _write_segments(path: Path, segments: NDArray[np.float64]) -> None:
+    text = f"{len(segments)}\n" + "%.4f %.4f %.4f %.4f\n" * len(segments) % tuple(segments.ravel().tolist())
+    whole = path.parent.with_suffix(".tmp")  # LIMAP takes every file in the folder for segments
+    whole.write_bytes(text.encode("ascii"))
+    whole.replace(path)
+
+
+def _colmap_camera(camera: CameraModel) -> str:
+    numbers = (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER)
+    return f"1 PINHOLE {camera.width} {camera.height} {' '.join(repr(float(number)) for number in numbers)}\n"
+
+
+def _clear(folder: Path) -> None:
+    """Remove the files of an earlier run, which LIMAP would take for images of this one."""
+    old = [folder / name for name in (IMAGES, CAMERAS, NEIGHBOURS)]
+    old += [*(folder / SEGMENTS).glob("segments_*.txt"), *(folder / MATCHES).glob("lbd_n*_top0/matches_*.npy")]
+    for path in old:
+        path.unlink(missing_ok=True)

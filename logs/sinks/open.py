@@ -1,0 +1,95 @@
+"""Which sink an output name stands for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from airline.errors import InputError
+
+if TYPE_CHECKING:
+    from frontend.protocols import Sink
+
+KINDS = {
+    "mcap": "NAME.mcap (for Foxglove)",
+    "parquet": "NAME.parquet",
+    "csv": "NAME.csv",
+    "plvins": "plvins.mcap or plvins:NAME.mcap (for PL-VINS)",
+    "limap": "limap/ or limap:FOLDER (for LIMAP)",
+}
+
+
+def kind_and_path(spec: str) -> tuple[str, Path]:
+    """The kind of output that a name stands for, and where it goes.
+
+    Args:
+        spec: `KIND:PATH`; or a path, whose ending tells: `plvins.mcap`, other `.mcap`, `.parquet`, `.csv`, a folder
+            named `limap` or written with a slash at its end.
+
+    Raises:
+        InputError: a name that stands for nothing.
+    """
+    prefix, colon, rest = spec.partition(":")
+    if colon and prefix in KINDS and rest:
+        return prefix, Path(rest)
+    path = Path(spec)
+    name = path.name.lower()
+    if spec.endswith(("/", os.sep)) or name == "limap":
+        return "limap", path
+    if name.endswith("plvins.mcap"):
+        return "plvins", path
+    if path.suffix.lower() in (".mcap", ".parquet", ".csv"):
+        return path.suffix.lower()[1:], path
+    raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(KINDS.values())}")
+
+
+def check(spec: str, overwrite: bool = False) -> None:
+    """Refuse, before any work, an output that exists or that cannot be made; raises InputError."""
+    kind, path = kind_and_path(spec)
+    if kind == "limap":
+        from logs.sinks.limap import check_folder
+
+        check_folder(path, overwrite)
+    elif kind == "parquet":
+        from logs.sinks.parquet import check_table
+
+        check_table(path, overwrite)
+    else:
+        from logs.sinks.output import check_new
+
+        check_new(path, overwrite)
+
+
+def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
+    """Open an output for tracked lines.
+
+    Args:
+        spec: see `kind_and_path`.
+        overwrite: replace what is there.
+        with_images: write the images too, where the format can hold them (MCAP for Foxglove).
+        labels: write ids beside the lines, where the format can show them (MCAP for Foxglove).
+
+    Raises:
+        InputError: an unknown kind, or an output that exists or cannot be made.
+    """
+    kind, path = kind_and_path(spec)
+    if kind == "mcap":
+        from logs.sinks.mcap_tracks import McapTrackSink
+
+        return McapTrackSink(path, with_images=with_images, labels=labels, overwrite=overwrite)
+    if kind == "parquet":
+        from logs.sinks.parquet import ParquetTrackSink
+
+        return ParquetTrackSink(path, overwrite=overwrite)
+    if kind == "csv":
+        from logs.sinks.csv import CsvTrackSink
+
+        return CsvTrackSink(path, overwrite=overwrite)
+    if kind == "plvins":
+        from logs.sinks.plvins import PlVinsTrackSink
+
+        return PlVinsTrackSink(path, overwrite=overwrite)
+    from logs.sinks.limap import LimapTrackSink
+
+    return LimapTrackSink(path, overwrite=overwrite)

@@ -1,0 +1,256 @@
+"""Frames of an image topic of a log."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import deque
+from collections.abc import Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import replace
+from functools import cached_property
+from itertools import islice
+
+from airline.errors import InputError
+from frontend.camera import CameraModel
+from frontend.frame import Frame
+from frontend.opencv import Image
+from frontend.sources.skips import Skips
+from logs.camera_info import camera_from_log
+from logs.files.mcap_file import McapFile
+from logs.files.types import LogFile, LogMessage
+from logs.images.decoder import ImageDecoder, decode_still
+from logs.messages.annexb import is_key_frame
+from logs.messages.registry import reader_for
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
+from logs.stamps import StampClock, TimeSource, own_stamp
+from logs.topics import choose_topic, printable
+
+log = logging.getLogger(__name__)
+
+_DECODERS = 2  # threads for JPEG, PNG and WebP
+_AHEAD = 4  # images decoded ahead of the one in use
+_MARGIN_NS = 10**9  # a message may be logged that much earlier than its stamp makes one expect
+_KEY_FRAME_DISTANCE = 1000  # messages
+
+Picture = RawImage | EncodedImage | VideoPacket
+
+
+class LogImageSource:
+    """Images of one topic of a log: ROS 2, ROS 1 and Foxglove messages, raw, compressed or H.264 and H.265 video.
+
+    Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits with a scale that stays steady
+    over the stream. `Frame.camera` comes from the topic's calibration messages, where the log has them. Messages that
+    cannot be decoded and messages that repeat a frame are skipped, counted by reason, and keep their number. Of a cut
+    or damaged log all readable messages are used, with one warning.
+
+    Args:
+        file: the opened log; the source closes it.
+        topic: the image topic; may be left out if there is only one.
+        time_source: where stamps come from, see `StampClock`.
+
+    Raises:
+        InputError: no such topic; while iterating, when not one message can be decoded.
+    """
+
+    def __init__(self, file: LogFile, topic: str | None = None, *, time_source: TimeSource = "header") -> None:
+        self._file = file
+        self._time_source = time_source
+        self._skips = Skips(file.name)
+        self._start_ns = 0  # since the first frame
+        self._seen = 0
+        try:
+            self._topic = choose_topic(file.topics, topic)
+        except InputError:
+            self.close()
+            raise
+        self._promised = file.topics[self._topic].count  # reading may find the log's own index false
+
+    @property
+    def name(self) -> str:
+        return self._file.name
+
+    @property
+    def frame_count(self) -> int | None:
+        """Messages on the topic; None where only reading the whole log would tell, and behind a seek."""
+        return None if self._start_ns else self._promised
+
+    @property
+    def skipped(self) -> int:
+        return self._skips.count
+
+    @property
+    def first_stamp_ns(self) -> int:
+        """Stamp of the first readable message, from which `seek` counts."""
+        return self._first[1]
+
+    def seek(self, start_s: float) -> None:
+        """Begin with the first frame at or after start_s seconds, without reading what comes before an index allows.
+
+        Behind a seek `Frame.index` is the time multiplied by the mean rate: exact for a constant rate.
+        """
+        self._start_ns = round(start_s * 1e9)
+
+    def __iter__(self) -> Iterator[Frame]:
+        camera: CameraModel | None = None
+        frames = 0
+        try:
+            for number, stamp_ns, image in self._images():
+                size = image.shape[1], image.shape[0]
+                if not frames or (camera is not None and (camera.width, camera.height) != size):
+                    camera = camera_from_log(self._file, self._topic, size)
+                yield Frame(number, stamp_ns, image, camera)
+                frames += 1
+            self._count_lost()
+        finally:
+            self.close()
+            self._skips.report(log)
+        if not frames and self._skips.count:
+            raise InputError(f"not one image of '{self.name}' can be read; {self._skips.first}")
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _images(self) -> Iterator[tuple[int, int, Image]]:
+        """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
+        decoder = ImageDecoder()
+        waiting: deque[tuple[int, int, Future[Image]]] = deque()
+        packets: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
+
+        def oldest() -> Iterator[tuple[int, int, Image]]:
+            number, stamp_ns, job = waiting.popleft()
+            try:
+                yield number, stamp_ns, decoder.eight_bits(job.result())
+            except UndecodableError as error:
+                self._skip(number, error)
+
+        def now(number: int, record: RawImage | VideoPacket) -> Iterator[tuple[int, int, Image]]:
+            packets[record.stamp_ns] = number
+            try:
+                for stamp_ns, image in decoder.decode(record):
+                    yield packets.pop(stamp_ns, number), stamp_ns, image
+            except UndecodableError as error:
+                packets.pop(record.stamp_ns, None)
+                self._skip(number, error)
+
+        with ThreadPoolExecutor(_DECODERS) as pool, closing(self._records()) as records:
+            for number, record in records:
+                if isinstance(record, EncodedImage):
+                    waiting.append((number, record.stamp_ns, pool.submit(decode_still, record)))
+                while len(waiting) > (_AHEAD if isinstance(record, EncodedImage) else 0):
+                    yield from oldest()
+                if not isinstance(record, EncodedImage):
+                    yield from now(number, record)
+            while waiting:
+                yield from oldest()
+            for stamp_ns, image in decoder.flush():
+                yield packets.pop(stamp_ns, number), stamp_ns, image
+
+    def _records(self) -> Generator[tuple[int, Picture]]:
+        """The topic's messages with their numbers, stamped by the clock."""
+        clock = StampClock(self.name, self._time_source)
+        start_ns, number = self._landing(clock) if self._start_ns else (None, 0)
+        wanted_ns = self.first_stamp_ns + self._start_ns if self._start_ns else 0
+        for message in self._file.messages(self._topic, start_ns):
+            position, number = number, number + 1
+            self._seen += 1
+            try:
+                record = _picture(message)
+                stamp_ns = clock.stamp(record.stamp_ns, message)
+            except UndecodableError as error:
+                self._skip(position, error)
+                continue
+            if stamp_ns >= wanted_ns or isinstance(record, VideoPacket):
+                yield position, replace(record, stamp_ns=stamp_ns)
+
+    def _landing(self, clock: StampClock) -> tuple[int | None, int]:
+        """The log time to read from for a seek, and the number of the message there.
+
+        The log's clock and the stamps' may run apart, so step back until a stamp at or before the start is found.
+        """
+        first, first_stamp_ns = self._first
+        if not self._file.indexed:
+            return None, 0
+        back_ns = _MARGIN_NS
+        while back_ns < self._start_ns:
+            start_ns = first.log_ns + self._start_ns - back_ns
+            landed = next(self._stamped(start_ns), None)
+            if landed is not None and landed[1] - first_stamp_ns <= self._start_ns:
+                key_ns = self._key_frame_before(landed[0].log_ns)
+                if key_ns is None or key_ns <= first.log_ns:
+                    break
+                clock.stamp(first_stamp_ns, first)
+                return key_ns, round((key_ns - first.log_ns) * 1e-9 * self._rate_hz)
+            back_ns = 4 * back_ns
+        return None, 0
+
+    def _key_frame_before(self, log_ns: int) -> int | None:
+        """Where decoding has to begin for the message at `log_ns`: there, or for video at the key frame before it."""
+        for message in islice(self._file.messages(self._topic, log_ns + 1, reverse=True), _KEY_FRAME_DISTANCE):
+            try:
+                record = _picture(message)
+            except UndecodableError:
+                continue  # counted when it is read in order
+            if not isinstance(record, VideoPacket) or is_key_frame(record):
+                return message.log_ns
+        return None
+
+    def _stamped(self, start_ns: int | None = None) -> Iterator[tuple[LogMessage, int]]:
+        """Readable messages and their stamps, each by itself."""
+        for message in self._file.messages(self._topic, start_ns):
+            try:
+                yield message, own_stamp(self._time_source, _picture(message).stamp_ns, message)
+            except UndecodableError:
+                continue  # counted when it is read in order
+
+    @cached_property
+    def _first(self) -> tuple[LogMessage, int]:
+        first = next(self._stamped(), None)
+        if first is None:
+            raise InputError(f"not one image of '{self.name}' can be read on {printable(self._topic)}")
+        return first
+
+    @cached_property
+    def _rate_hz(self) -> float:
+        count = self._promised or 0
+        last = next(self._file.messages(self._topic, reverse=True))
+        return (count - 1) * 1e9 / max(last.log_ns - self._first[0].log_ns, 1)
+
+    def _skip(self, number: int, error: UndecodableError) -> None:
+        self._skips.add(f"message {number} on {printable(self._topic)}: {error}", reason=error.reason)
+
+    def _count_lost(self) -> None:
+        """Count the topic's messages that the log says it has and that did not come."""
+        lost = 0 if self._start_ns else (self._promised or 0) - self._seen
+        if lost > 0:
+            what = f"a message on {printable(self._topic)} in the damaged part of the log"
+            self._skips.add(what, lost, reason="lost in the log's damaged part")
+
+
+class McapImageSource(LogImageSource):
+    """Images of one topic of an MCAP file; see `LogImageSource`.
+
+    Args:
+        path: the .mcap file.
+        topic: the image topic; may be left out if there is only one.
+        time_source: where stamps come from, see `StampClock`.
+
+    Raises:
+        InputError: no MCAP file, or no such topic; while iterating, when not one message can be decoded.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
+    ) -> None:
+        super().__init__(McapFile(path), topic, time_source=time_source)
+
+
+def _picture(message: LogMessage) -> Picture:
+    read = reader_for(message.type.schema_name, message.type.encoding)
+    if read is None:
+        raise UndecodableError("its type is not readable", printable(str(message.type)))
+    record = read(message.data)
+    if isinstance(record, CameraInfo):
+        raise UndecodableError("it is no image", printable(str(message.type)))
+    return record

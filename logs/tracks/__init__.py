@@ -1,0 +1,1 @@
+"""Tracked lines as JSON and as tables."""

@@ -1,0 +1,216 @@
+"""ROS bags as rosbags writes them, read back message by message, from any time, backwards, and after damage."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_typestore
+
+from airline.errors import AirLineError, InputError
+from logs.files import is_log, open_log
+from logs.files.bag_file import BagFile
+from logs.files.types import LogFile
+
+START = 1_403_636_579_763_555_584
+STEP = 50_000_000
+COUNT = 60
+TOPIC, OTHER = "/cam0/image_raw", "/imu0"
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+KINDS = ["none", "bz2", "lz4", "sqlite", "mcap", "sqlite messages", "mcap messages", "sqlite file", "db3"]
+
+Expected = list[tuple[int, bytes]]
+
+
+def content(number: int) -> bytes:
+    return b"\0\1\0\0" + struct.pack("<I", number) + bytes((number * 7 + k) % 251 for k in range(40_000))
+
+
+def stamp(number: int) -> int:
+    return START + number * STEP
+
+
+def write(folder: Path, kind: str, numbers: Sequence[int] = range(COUNT)) -> Path:
+    """A bag with an image topic and one with five times as many messages."""
+    if kind in ("none", "bz2", "lz4"):
+        path = folder / "some.bag"
+        writer1 = rosbag1.Writer(path)
+        if kind != "none":
+            writer1.set_compression(rosbag1.Writer.CompressionFormat[kind.upper()])
+        with writer1:
+            image = writer1.add_connection(TOPIC, "sensor_msgs/msg/Image", typestore=ROS1)
+            other = writer1.add_connection(OTHER, "sensor_msgs/msg/Imu", typestore=ROS1)
+            for number in numbers:
+                writer1.write(image, stamp(number), content(number))
+                for k in range(5):
+                    writer1.write(other, stamp(number) + 1000 * (k + 1), b"imu")
+        return path
+    path = folder / "plain"
+    storage = StoragePlugin.MCAP if kind.startswith("mcap") else StoragePlugin.SQLITE3
+    writer2 = rosbag2.Writer(path, version=9, storage_plugin=storage)
+    modes = {"messages": CompressionMode.MESSAGE, "file": CompressionMode.FILE}
+    writer2.set_compression(modes.get(kind.partition(" ")[2], CompressionMode.NONE), CompressionFormat.ZSTD)
+    with writer2:
+        image = writer2.add_connection(TOPIC, "sensor_msgs/msg/Image", typestore=ROS2)
+        other = writer2.add_connection(OTHER, "sensor_msgs/msg/Imu", typestore=ROS2)
+        for number in numbers:
+            writer2.write(image, stamp(number), content(number))
+            for k in range(5):
+                writer2.write(other, stamp(number) + 1000 * (k + 1), b"\0\1\0\0imu")
+    if kind == "split":  # rosbags splits nothing: two recordings in one folder
+        second = write(folder / "second", "sqlite", range(COUNT, 2 * COUNT))
+        next(second.glob("*.db3")).rename(path / "some_1.db3")
+    path = path.rename(folder / "some bag")
+    return next(path.glob("*.db3")) if kind == "db3" else path
+
+
+def expected(kind: str = "") -> Expected:
+    return [(stamp(number), content(number)) for number in range(2 * COUNT if kind == "split" else COUNT)]
+
+
+def read(bag: LogFile, start_ns: int | None = None, *, reverse: bool = False) -> Expected:
+    messages = list(bag.messages(TOPIC, start_ns, reverse=reverse))
+    assert all(message.topic == TOPIC and message.publish_ns == message.log_ns for message in messages)
+    return [(message.log_ns, bytes(message.data)) for message in messages]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_comes_back_and_from_anywhere(tmp_path: Path, kind: str) -> None:
+    path = write(tmp_path, kind)
+    assert is_log(path)
+    bag = open_log(path)
+    assert isinstance(bag, BagFile)
+    whole = expected(kind)
+    assert bag.indexed
+    assert {name: topic.count for name, topic in bag.topics.items()} == {TOPIC: len(whole), OTHER: 5 * len(whole)}
+    ros1 = kind in ("none", "bz2", "lz4")
+    assert str(bag.topics[TOPIC].type) == ("sensor_msgs/msg/Image as ros1" if ros1 else "sensor_msgs/msg/Image as cdr")
+    assert bag.span_ns == (START, whole[-1][0] + 5000)
+    assert read(bag) == whole
+    assert read(bag, reverse=True) == whole[::-1]
+    for start_ns in (START + 1, stamp(17), 2**62):
+        assert read(bag, start_ns) == [message for message in whole if message[0] >= start_ns]
+        earlier = [message for message in whole if message[0] < start_ns]
+        assert read(bag, start_ns, reverse=True) == earlier[::-1]
+    assert list(bag.messages("/nowhere")) == []
+    assert not bag.lost
+    assert bag.name == ("some" if ros1 else path.stem)
+    bag.close()
+    bag.close()
+
+
+@pytest.mark.parametrize("kind", ["none", "lz4", "sqlite", "mcap"])
+def test_agrees_with_rosbags_on_messages_out_of_order(tmp_path: Path, kind: str) -> None:
+    order = [*range(40, 0, -1), *range(60, 40, -1)]  # several ROS 1 chunks that overlap in time
+    path = write(tmp_path, kind, order)
+    if path.is_dir():
+        path = path.rename(tmp_path / "plain")
+    reader = rosbag2.Reader(path) if path.is_dir() else rosbag1.Reader(path)
+    with reader:
+        wanted = [connection for connection in reader.connections if connection.topic == TOPIC]
+        theirs = [(stamp_ns, bytes(data)) for _, stamp_ns, data in reader.messages(wanted)]
+    with closing(BagFile(path)) as bag:
+        assert read(bag) == theirs
+        assert [stamp_ns for stamp_ns, _ in theirs] == sorted(map(stamp, order))
+        assert read(bag, reverse=True) == theirs[::-1]
+
+
+@pytest.mark.parametrize("percent", range(5, 100, 10))
+def test_a_cut_bag_is_a_clear_error(tmp_path: Path, percent: int) -> None:
+    data = write(tmp_path, "lz4").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
+    with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
+        BagFile(tmp_path / "cut.bag")
+
+
+@pytest.mark.parametrize(("kind", "magic"), [("bz2", b"BZh9"), ("lz4", b"\x04\x22\x4d\x18")])
+def test_messages_before_damage_are_read(tmp_path: Path, kind: str, magic: bytes) -> None:
+    path = write(tmp_path, kind)
+    data = bytearray(path.read_bytes())
+    place = data.index(magic, data.index(magic) + 4) + 1000  # inside the second chunk
+    data[place : place + 300] = bytes(range(50)) * 6
+    path.write_bytes(data)
+    with closing(BagFile(path)) as bag:
+        found = read(bag)
+        (reason,) = bag.lost
+    assert 20 <= len(found) < COUNT
+    assert found == expected()[: len(found)]
+    assert reason.startswith("everything behind a damaged place of the bag")
+
+
+@pytest.mark.parametrize("percent", [20, 50, 80, 99])
+def test_a_cut_database_gives_what_is_left_or_a_clear_error(tmp_path: Path, percent: int) -> None:
+    path = write(tmp_path, "db3")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * percent // 100])
+    try:
+        bag = BagFile(path)
+    except InputError as error:
+        assert "cannot read the bag" in str(error)  # noqa: PT017
+        return
+    with closing(bag):
+        found = read(bag)
+    assert set(found) <= set(expected())
+    assert len(found) >= COUNT * percent // 100 - 5
+    assert sum(bag.lost.values()) >= 1
+
+
+def test_a_recording_that_was_killed_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path, "split")
+    (path / "metadata.yaml").unlink()
+    for number, file in enumerate(sorted(path.glob("*.db3"))):
+        file.rename(path / f"run_{number}.db3")
+    assert is_log(path)
+    with closing(open_log(path)) as bag:
+        assert read(bag) == expected("split")
+        assert read(bag, reverse=True) == expected("split")[::-1]
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a.bag", "a.db3", "empty", "missing.bag", "nul\0.bag"])
+def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if name.startswith("a."):
+        path.write_bytes(b"neither one nor the other")
+    elif name == "empty":
+        path.mkdir()
+    with pytest.raises(InputError):
+        open_log(path)
+    with pytest.raises(InputError):
+        BagFile(path)
+    assert is_log(path) == name.endswith((".bag", ".db3"))
+
+
+@given(place=st.floats(0, 1), noise=st.binary(min_size=1, max_size=60), cut=st.booleans())
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_arbitrary_damage_never_raises_anything_else(
+    tmp_path: Path, place: float, noise: bytes, cut: bool, small_bags: list[bytes]
+) -> None:
+    for number, whole in enumerate(small_bags):
+        data = bytearray(whole)
+        at = int(place * (len(data) - 1))
+        data[at : at + len(noise)] = noise
+        path = tmp_path / f"damaged{number}{'.bag' if whole.startswith(b'#ROSBAG') else '.db3'}"
+        path.write_bytes(data[: len(data) // 2] if cut else data)
+        try:
+            with closing(BagFile(path)) as bag:
+                assert len(read(bag)) <= 100
+                assert len(read(bag, reverse=True)) <= 100
+                assert bag.span_ns is None or len(bag.span_ns) == 2
+        except AirLineError:
+            continue
+
+
+@pytest.fixture(scope="module")
+def small_bags(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    bags = []
+    for kind in ("none", "lz4", "db3"):
+        path = write(tmp_path_factory.mktemp("small"), kind, range(2))
+        bags.append(path.read_bytes())
+    return bags

@@ -1,0 +1,102 @@
+"""Stamps of a log's frames: one rising clock, whatever the messages' clocks do."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs.files.types import LogMessage, TopicType
+from logs.messages.types import UndecodableError
+from logs.stamps import StampClock, TimeSource
+
+SECOND = 10**9
+DAY = 86_400 * SECOND
+EPOCH = 1_700_000_000 * SECOND
+
+
+def message(log_ns: int, publish_ns: int = 0) -> LogMessage:
+    return LogMessage("/camera", TopicType("", ""), log_ns, publish_ns, b"")
+
+
+def stamps(headers: list[int], logged: list[int], source: TimeSource = "header") -> tuple[list[int | None], StampClock]:
+    """The stamp of each message, None for those that are refused."""
+    clock = StampClock("drive", source)
+    found: list[int | None] = []
+    for header_ns, log_ns in zip(headers, logged, strict=True):
+        try:
+            found.append(clock.stamp(header_ns, message(log_ns, publish_ns=log_ns + 7)))
+        except UndecodableError:
+            found.append(None)
+    return found, clock
+
+
+def test_each_time_source(caplog: pytest.LogCaptureFixture) -> None:
+    headers, logged = [EPOCH, EPOCH + 5], [100, 200]
+    assert stamps(headers, logged)[0] == headers
+    assert stamps(headers, logged, "log")[0] == logged
+    assert stamps(headers, logged, "publish")[0] == [107, 207]
+    assert not caplog.records
+
+
+def test_headers_that_are_never_set_fall_back_to_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    found, clock = stamps([0, 0, 0], [EPOCH, EPOCH + 10, EPOCH + 20])
+    assert found == [EPOCH, EPOCH + 10, EPOCH + 20]
+    assert clock.faults == {"are zero": 3}
+    (record,) = caplog.records
+    assert "drive: header times are zero at 1700000000.000 s" in record.getMessage()
+    assert "--time-source log" in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    ("broken", "fault"),
+    [
+        (0, "are zero"),
+        (-5, "are out of range"),
+        (2**63, "are out of range"),
+        (EPOCH - SECOND, "run backwards"),
+        (EPOCH + 2 * DAY, "jump by more than a day"),
+    ],
+)
+def test_one_broken_header_is_bridged_by_the_log(broken: int, fault: str, caplog: pytest.LogCaptureFixture) -> None:
+    headers = [EPOCH, EPOCH + 100, broken, EPOCH + 300]
+    found, clock = stamps(headers, [5000, 5100, 5210, 5300])
+    assert found == [EPOCH, EPOCH + 100, EPOCH + 210, EPOCH + 300]
+    assert clock.faults == {fault: 1}
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.parametrize("restarted", [SECOND, EPOCH - 3 * DAY, EPOCH + 30 * DAY])
+def test_a_clock_that_is_set_anew_goes_on_by_the_log(restarted: int, caplog: pytest.LogCaptureFixture) -> None:
+    headers = [EPOCH, EPOCH + 100, restarted, restarted + 90]
+    assert stamps(headers, [1000, 1100, 1200, 1300])[0] == [EPOCH, EPOCH + 100, EPOCH + 200, EPOCH + 300]
+    assert len(caplog.records) == 1
+
+
+def test_a_pause_of_days_that_the_log_saw_too_is_no_fault() -> None:
+    headers = [EPOCH, EPOCH + 2 * DAY]
+    found, clock = stamps(headers, [0, 2 * DAY])
+    assert found == headers
+    assert not clock.faults
+
+
+def test_repeated_frames_and_stopped_clocks_are_refused() -> None:
+    assert stamps([EPOCH, EPOCH, EPOCH + 1], [1, 2, 3])[0] == [EPOCH, None, EPOCH + 1]
+    assert stamps([EPOCH, 0, EPOCH + 1], [5, 5, 6])[0] == [EPOCH, None, EPOCH + 1]
+    assert stamps([0, 0], [2**64 - 1, 3])[0] == [None, 3]
+
+
+times = st.one_of(st.integers(0, 2**64 - 1), st.integers(EPOCH, EPOCH + 100), st.just(0), st.integers(-(2**40), -1))
+
+
+@given(
+    messages=st.lists(st.tuples(times, st.integers(0, 2**64 - 1) | st.integers(0, 1000)), max_size=30),
+    source=st.sampled_from(["header", "publish", "log"]),
+)
+def test_stamps_always_rise(messages: list[tuple[int, int]], source: TimeSource) -> None:
+    found, _ = stamps([header for header, _ in messages], [logged for _, logged in messages], source)
+    kept = [stamp for stamp in found if stamp is not None]
+    assert all(0 <= stamp < 2**63 for stamp in kept)
+    assert all(first < second for first, second in pairwise(kept))
