@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class LineTracks:
         mask: NDArray[np.bool_] = self.states == TrackState.CONFIRMED
         return mask
 
-    @property
+    @cached_property
     def segments_normalized(self) -> NDArray[np.float32] | None:
         """(N, 2, 2) float32 undistorted coordinates of `segments_px` on the plane z = 1; None without a camera."""
         return None if self.camera is None else self.camera.normalize(self.segments_px)

@@ -1,10 +1,12 @@
 """A picture of the real viewer, without a screen: `python -m viz.snapshot run.rrd --frame 30 picture.png`.
 
-Needs a Vulkan driver; a software one will do (Debian: mesa-vulkan-drivers and libvulkan1).
+Needs a Vulkan driver; a software one will do (Debian: mesa-vulkan-drivers and libvulkan1). With `--plain`, OpenCV draws
+the image and its tracks instead, and needs no driver; `--video film.mp4` makes a film of such pictures.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import socket
@@ -116,7 +118,10 @@ def _connect(viewer: subprocess.Popen[bytes], port: int) -> ViewerClient:
 
 def _why_it_ended(output: str, timeout_s: float) -> str:
     if "graphics adapter" in output or "render context" in output:
-        return "the viewer found no graphics driver: install a Vulkan driver, such as Debian's mesa-vulkan-drivers"
+        return (
+            "the viewer found no graphics driver: install a Vulkan driver, such as Debian's mesa-vulkan-drivers, "
+            "or take a plain picture with --plain"
+        )
     last = next((line for line in reversed(output.splitlines()) if line.strip()), "")
     return f"the viewer ended or gave no picture within {timeout_s:g} s: try a longer timeout ({last.strip()})"
 
@@ -153,23 +158,90 @@ def _save_settled(client: ViewerClient, picture: Path) -> None:
         before = now
 
 
+def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) -> None:
+    """Draw the image and the tracks of a frame with OpenCV, in the colours of the recording.
+
+    Args:
+        recording: .rrd file.
+        picture: image file to write.
+        frame: None is the last one.
+
+    Raises:
+        InputError: no such recording, no such frame, or an unwritable picture.
+    """
+    import cv2
+
+    from viz.overlay import draw_frame
+    from viz.recording import Recording
+
+    opened = Recording(recording)
+    chosen = opened.check(opened.indices[-1] if frame is None else frame)
+    overlay = draw_frame(next(opened.frames(chosen, chosen)))
+    try:
+        written = cv2.imwrite(str(picture), overlay)
+    except cv2.error:  # an ending that OpenCV does not know
+        written = False
+    if not written:
+        raise InputError(f"cannot write {picture}: give a .png or .jpg file in a folder you may write to")
+
+
+def save_film(recording: Path, film: Path, *, start: int | None = None, end: int | None = None) -> int:
+    """Make a film of the image and the tracks, at the recording's frame rate.
+
+    Args:
+        recording: .rrd file.
+        film: .mp4 file to write.
+        start, end: first and last frame; None is the recording's.
+
+    Returns:
+        How many frames it has.
+
+    Raises:
+        InputError: no such recording, no frame between these, or an unwritable film.
+    """
+    from viz.film import write_film
+    from viz.overlay import draw_frame
+    from viz.recording import Recording
+
+    if film.suffix.lower() != ".mp4":
+        raise InputError(f"cannot write {film}: films are .mp4 files")
+    opened = Recording(recording)
+    first, last = opened.indices[0], opened.indices[-1]
+    if not any((start or first) <= frame <= (last if end is None else end) for frame in opened.indices):
+        raise InputError(f"there is no frame from {start} to {end}: choose frames from {first} to {last}")
+    return write_film(film, map(draw_frame, opened.frames(start, end)), opened.fps)
+
+
+def _take(options: argparse.Namespace) -> list[str]:
+    """Do what the flags ask for; returns what the viewer complains about."""
+    if options.video is not None:
+        save_film(options.recording, options.video, start=options.start, end=options.end)
+    if options.picture is None:
+        return []
+    if options.plain:
+        save_overlay(options.recording, options.picture, frame=options.frame)
+        return []
+    size = (options.size[0], options.size[1])
+    return save_picture(options.recording, options.picture, frame=options.frame, size=size, timeout_s=options.timeout)
+
+
 def main() -> int:
     """Command line; returns the exit code."""
-    parser = Parser(prog="python -m viz.snapshot", description="A picture of the Rerun viewer.")
+    parser = Parser(prog="python -m viz.snapshot", description="Pictures of a recording, without a screen.")
     parser.add_argument("recording", type=Path, help=".rrd file")
-    parser.add_argument("picture", type=Path, help=".png file to write")
+    parser.add_argument("picture", type=Path, nargs="?", help=".png file to write")
     parser.add_argument("--frame", type=int, help="which frame to show (default: the last)")
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS")
+    parser.add_argument("--plain", action="store_true", help="draw image and tracks alone, without the viewer")
+    parser.add_argument("--video", type=Path, metavar="FILE.mp4", help="write a film of image and tracks")
+    parser.add_argument("--start", type=int, metavar="N", help="first frame of the film")
+    parser.add_argument("--end", type=int, metavar="N", help="last frame of the film")
     options = parser.parse_args()
+    if options.picture is None and options.video is None:
+        parser.error("name the picture to write, or a film with --video")
     try:
-        complaints = save_picture(
-            options.recording,
-            options.picture,
-            frame=options.frame,
-            size=tuple(options.size),
-            timeout_s=options.timeout,
-        )
+        complaints = _take(options)
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USER_ERROR
