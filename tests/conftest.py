@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from logs.files.mcap_file import McapFile
 
 # before torch is loaded: on small images threads gain nothing, and on a busy machine they wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,6 +29,15 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, view in enumerate(Sequence(kind="indoor", motion="handheld", seed=12, frames=8, size=(160, 120))):
         assert cv2.imwrite(str(folder / f"{number}.png"), view.image)
     return folder
+
+
+@pytest.fixture
+def open_log() -> Iterator[Callable[[Path], McapFile]]:
+    """Opens MCAP files and closes them after the test."""
+    from logs.files.mcap_file import McapFile
+
+    with ExitStack() as stack:
+        yield lambda path: stack.enter_context(closing(McapFile(path)))
 
 
 RECTANGLES = [((40, 30, 119, 89),), ((20, 20, 69, 99), (90, 50, 139, 79))]  # per image: left, top, right, bottom

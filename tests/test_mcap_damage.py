@@ -6,8 +6,8 @@ import random
 import struct
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import lz4.frame
@@ -34,13 +34,6 @@ from tests.mcap_logs import (
 SENT = messages(60)
 CHUNKS = chunked(SENT, 6)
 Open = Callable[[Path], McapFile]
-
-
-@pytest.fixture
-def open_log() -> Iterator[Open]:
-    """Opens logs and closes them after the test."""
-    with ExitStack() as stack:
-        yield lambda path: stack.enter_context(closing(McapFile(path)))
 
 
 def rows(log: McapFile) -> dict[str, list[tuple[int, int, str, bytes]]]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import random
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +34,6 @@ WITH_INDEX: list[dict[str, Any]] = [
     {"enable_crcs": False},
     {"enable_data_crcs": True},
 ]
-
-
-@pytest.fixture
-def open_log() -> Iterator[Callable[[Path], McapFile]]:
-    """Opens logs and closes them after the test."""
-    with ExitStack() as stack:
-        yield lambda path: stack.enter_context(closing(McapFile(path)))
 
 
 class CountingFile(io.FileIO):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,13 +14,6 @@ from tests.mcap_logs import chunked, messages, on_topic, read, rewrite, write_ch
 SENT = messages(60)
 CHUNKS = chunked(SENT, 6)
 Open = Callable[[Path], McapFile]
-
-
-@pytest.fixture
-def open_log() -> Iterator[Open]:
-    """Opens logs and closes them after the test."""
-    with ExitStack() as stack:
-        yield lambda path: stack.enter_context(closing(McapFile(path)))
 
 
 def _shifted(record: McapRecord) -> McapRecord:
