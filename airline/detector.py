@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from airline.config import DetectorConfig
 from airline.config import preset as settings_of
-from airline.edges import CannyEdges, Device, EdgeDetector, UNetEdges
+from airline.edges import CannyEdges, EdgeDetector, UNetEdges
 from airline.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
 from airline.grow import RegionGrower
 from airline.image import Gray, to_gray
@@ -17,6 +17,7 @@ from airline.lines import LineSet
 from airline.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
 from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
 from airline.refine import ImageRefiner
+from airline.runtimes import Runtime
 from airline.trace import Trace
 
 
@@ -49,7 +50,7 @@ class AirLine:
         *,
         config: DetectorConfig | None = None,
         edges: EdgeDetector | None = None,
-        device: Device = "auto",
+        runtime: Runtime = "auto",
     ) -> None:
         """Build the detector.
 
@@ -57,14 +58,14 @@ class AirLine:
             preset: "default", "fast" or "paper".
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
-            device: where the U-Net runs: "auto", "cpu" or "cuda".
+            runtime: what the U-Net runs in: "auto", "openvino", "torch" or "cuda"; see `airline.runtimes`.
 
         Raises:
-            ConfigError: a setting is unknown or out of range.
+            ConfigError: a setting is unknown or out of range, or the runtime is not here.
             WeightsError: the weights cannot be used.
         """
         settings = settings_of(preset) if config is None else config
-        self.edges = edges if edges is not None else _edges(settings, device)
+        self.edges = edges if edges is not None else _edges(settings, runtime)
         self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings, self.edges)
         self.refiner = ImageRefiner(settings.refine.max_shift)
 
@@ -115,8 +116,8 @@ class AirLine:
         )
 
 
-def _edges(config: DetectorConfig, device: Device) -> EdgeDetector:
-    return CannyEdges() if config.edges.detector == "canny" else UNetEdges(config.edges.weights, device)
+def _edges(config: DetectorConfig, runtime: Runtime) -> EdgeDetector:
+    return CannyEdges() if config.edges.detector == "canny" else UNetEdges(config.edges.weights, runtime)
 
 
 def _back_end(

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
+from airline.runtimes import EdgeNetwork, Runtime, open_network
 
 if TYPE_CHECKING:
     import torch
 
     from airline.unet import UNet
-
-Device = Literal["auto", "cpu", "cuda"]
 
 
 class EdgeDetector(Protocol):
@@ -30,37 +29,13 @@ class EdgeDetector(Protocol):
 class UNetEdges:
     """The learned edge detector: a U-Net with weights from a safetensors file."""
 
-    def __init__(self, weights: str | Path | UNet = "default", device: Device = "auto") -> None:
-        """Load the network.
-
-        Args:
-            weights: name of bundled weights, path of a file written by `airline.train`, or a network itself.
-            device: "cuda", "cpu", or "auto" for CUDA where there is one.
-
-        Raises:
-            WeightsError: the weights are missing, damaged or made for another network.
-            ConfigError: CUDA was asked for and there is none.
-        """
-        import torch
-
-        from airline.unet import UNet
-        from airline.weights import load_unet
-
-        if device == "cuda" and not torch.cuda.is_available():
-            raise ConfigError("no CUDA device is available: use --device cpu or auto")
-        cuda = device == "cuda" or (device == "auto" and torch.cuda.is_available())
-        self.device = torch.device("cuda" if cuda else "cpu")
-        net = weights if isinstance(weights, UNet) else load_unet(weights)
-        self._net: UNet = net.to(self.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    def __init__(self, weights: str | Path | UNet = "default", runtime: Runtime = "auto") -> None:
+        """Load the network; arguments and errors of `airline.runtimes.open_network`."""
+        self.network: EdgeNetwork = open_network(weights, runtime)
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
         """Edge probability; the image is normalised to zero mean and unit variance, so its range does not matter."""
-        import torch
-
-        with torch.inference_mode():
-            image = torch.from_numpy(gray.astype(np.float32))[None, None].to(self.device)
-            edges: NDArray[np.float32] = torch.sigmoid(self._net.answer(image)[0, 0]).contiguous().cpu().numpy()
-        return edges
+        return self.network(gray)
 
 
 class CannyEdges:

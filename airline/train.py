@@ -18,6 +18,7 @@ import torch
 
 from airline.command import EXIT_USER_ERROR, Parser, StderrHandler
 from airline.errors import AirLineError, InputError
+from airline.spec import SPECS
 from airline.training.dataset import Sample, fingerprint, list_images, load_samples
 from airline.training.loop import State, find_device
 from airline.training.loss import PixelWeights
@@ -25,7 +26,7 @@ from airline.training.rendered import HELD_OUT_SEED, render_samples
 from airline.training.schedule import Schedule
 from airline.training.session import Session
 from airline.training.validation import Validation, split
-from airline.unet import SPECS, UNet
+from airline.unet import UNet
 from airline.weights import save_unet
 
 log = logging.getLogger("airline.train")

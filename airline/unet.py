@@ -2,55 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 import torch
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-
-@dataclass(frozen=True)
-class UNetSpec:
-    """Shape of the network.
-
-    Attributes:
-        base: channels of the first level; each further level doubles them.
-        max_channels: no level has more channels than this.
-        levels: number of resolutions; the coarsest is `unshuffle * 2 ** (levels - 1)` times smaller than the image.
-        convs: 3x3 convolutions per block.
-        unshuffle: side of the pixel blocks that are folded into channels before the first level (1: none).
-        smoothed: ever smoother copies of the image at the first level's resolution that join its input: they cost next
-            to nothing, and let a small network see past noise.
-    """
-
-    base: int = 16
-    max_channels: int = 64
-    levels: int = 5
-    convs: int = 1
-    unshuffle: int = 2
-    smoothed: int = 2
-
-    @property
-    def stride(self) -> int:
-        """Image sides must be multiples of this."""
-        return int(self.unshuffle * 2 ** (self.levels - 1))
-
-    @property
-    def widths(self) -> list[int]:
-        """Channels per level, finest first."""
-        return [min(self.base * 2**level, self.max_channels) for level in range(self.levels)]
-
-    def to_metadata(self) -> dict[str, str]:
-        """The shape as the strings that a safetensors header can hold."""
-        return {key: str(value) for key, value in asdict(self).items()}
-
-
-SPECS = {
-    "default": UNetSpec(),  # 194 K parameters
-    "fast": UNetSpec(base=8, levels=4, smoothed=0),  # 39 K parameters, about half the time
-    # the paper's, with our skips: 26 M parameters
-    "paper": UNetSpec(base=64, max_channels=1024, levels=5, convs=2, unshuffle=1, smoothed=0),
-}
+from airline.spec import UNetSpec
 
 
 class UNet(nn.Module):

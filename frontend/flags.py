@@ -57,7 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
     model = parser.add_argument_group("detector")
     model.add_argument("--preset", choices=["default", "fast", "paper"], help="settings to start from")
     model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
-    model.add_argument("--device", choices=["auto", "cpu", "cuda"], help="where the edge network runs")
+    model.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], help="what the edge network runs in")
     settings = parser.add_argument_group("settings")
     settings.add_argument("--config", type=Path, metavar="FILE.toml", help="settings; flags override them")
     settings.add_argument("--dump-config", action="store_true", help="print all settings as TOML and exit")
@@ -69,7 +69,7 @@ def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     names = ("start", "end", "stride", "max_frames", "resize", "fps", "topic", "time_source", "calib", "undistort")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}
-    for name in ("preset", "device"):
+    for name in ("preset", "runtime"):
         if getattr(options, name) is not None:
             flags[name] = getattr(options, name)
     if options.weights is not None:

@@ -194,7 +194,7 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     from frontend.summary import SummaryCounter
     from frontend.tracker import LineTracker
 
-    frontend = LineFrontend(AirLine(config=config.detector, device=config.device), LineTracker(config.tracker))
+    frontend = LineFrontend(AirLine(config=config.detector, runtime=config.runtime), LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
     sinks: list[Sink] = []
     ready = False

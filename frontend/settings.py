@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from airline.config import DetectorConfig, Preset, preset
 from airline.errors import ConfigError, InputError
+from airline.runtimes import Runtime
 from frontend.tracking.config import TrackerConfig
 
 T = TypeVar("T")
@@ -79,7 +80,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Everything that decides the result of a run."""
 
     preset: Preset = "default"
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    runtime: Runtime = "auto"
     input: InputConfig = InputConfig()
     detector: DetectorConfig = DetectorConfig()
     tracker: TrackerConfig = TrackerConfig()

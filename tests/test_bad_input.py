@@ -140,7 +140,7 @@ def another_shape(path: Path) -> None:
     """The header promises one network and the tensors are of another."""
     from safetensors.torch import load_file, save_file
 
-    from airline.unet import UNetSpec
+    from airline.spec import UNetSpec
     from airline.weights import bundled_path
 
     save_file(load_file(bundled_path("default")), path, metadata=UNetSpec(base=24).to_metadata())
@@ -185,7 +185,7 @@ def test_wrong_weights(desk: Path, clip: Path, make: Callable[[Path], None]) -> 
         ("--fps 1e9", "frame rate"),
         ("--topic /camera", "topic"),
         ("--preset best", "best"),
-        ("--device tpu", "tpu"),
+        ("--runtime tpu", "tpu"),
         ("another.mp4", "another.mp4"),
         ("--config missing.toml", "missing.toml"),
         ("--config .", "settings file"),
@@ -219,7 +219,7 @@ def test_impossible_flags(desk: Path, clip: Path, flags: str, hint: str) -> None
         ("recording.jpeg_quality = 500", "recording.jpeg_quality"),
         ('preset = "best"', "best"),
         ("preset = 7", "7"),
-        ('device = "tpu"', "device"),
+        ('runtime = "tpu"', "runtime"),
         ('detector.edges.weights = "mine.safetensors"', "mine.safetensors"),
         ("this is not TOML", "TOML"),
         ("a = 1\na = 2", "TOML"),
@@ -236,7 +236,7 @@ def test_cuda_where_there_is_none(desk: Path, clip: Path) -> None:
 
     if torch.cuda.is_available():
         pytest.skip("this machine has CUDA")
-    assert "CUDA" in refuse(clip, "--device", "cuda")
+    assert "CUDA" in refuse(clip, "--runtime", "cuda")
 
 
 def test_summary_that_cannot_be_written_keeps_the_recording(desk: Path, clip: Path) -> None:

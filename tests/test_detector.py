@@ -110,7 +110,8 @@ def test_grey_colour_and_alpha_agree(airline):
 
 
 @pytest.mark.parametrize("factor", [257, 16, 1])
-def test_uint16_of_any_range_finds_the_same(airline, factor):
+def test_uint16_of_any_range_finds_the_same(factor):
+    airline = AirLine(runtime="torch")  # bfloat16 rounds both differently
     image = room()
     eight, sixteen = airline(image), airline(image.astype(np.uint16) * factor)
     assert len(eight) == len(sixteen)

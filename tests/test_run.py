@@ -33,7 +33,7 @@ FRAMES = 8
 PERIOD_NS = 33_333_333
 FLAGS = (
     *("--save", "--headless", "--summary", "--max-frames", "--start", "--end", "--stride", "--resize"),
-    *("--preset", "--weights", "--device", "--config", "--dump-config", "--version", "-v"),
+    *("--preset", "--weights", "--runtime", "--config", "--dump-config", "--version", "-v"),
 )
 STAGES = ["edges", "pixels", "orientation", "grow", "fit", "refine", "track", "sinks"]
 
@@ -151,7 +151,7 @@ def test_resize(clip: Path, tmp_path: Path, size: str, expected: tuple[int, int]
 def test_paper_preset_and_canny_edges_run(clip: Path, tmp_path: Path) -> None:
     (tmp_path / "canny.toml").write_text('detector.edges.detector = "canny"\n')
     for flags in (["--preset", "paper"], ["--config", tmp_path / "canny.toml"]):
-        outcome = command(clip, "--save", tmp_path / "run.rrd", "--max-frames", 3, "--device", "cpu", *flags)
+        outcome = command(clip, "--save", tmp_path / "run.rrd", "--max-frames", 3, "--runtime", "torch", *flags)
         assert outcome.code == 0
         assert max(map(len, tracks(recorded(tmp_path / "run.rrd"))[0])) > 0
 

@@ -160,7 +160,7 @@ def test_numbers_must_be_finite(tmp_path: Path, number: str) -> None:
         "recording.jpeg_quality = 101",
         "recording.descriptor_every = -1",
         "tracker.confirm_hits = 0",
-        'device = "tpu"',
+        'runtime = "tpu"',
         'preset = "best"',
     ],
 )
@@ -188,19 +188,19 @@ def test_a_file_changes_only_what_it_names(tmp_path: Path) -> None:
 
 def test_dump_config_feeds_config(tmp_path: Path) -> None:
     flags = "--start 1 --end 9.5 --stride 2 --max-frames 7 --resize 320x240 --fps 10 --topic /left --preset paper"
-    flags += " --weights my.safetensors --device cpu"
+    flags += " --weights my.safetensors --runtime torch"
     first = command("--dump-config", *flags.split())
     assert (first.code, first.err) == (0, "")
     config = load(write(tmp_path, first.out), {})
     assert config.input == InputConfig(
         start=1, end=9.5, stride=2, max_frames=7, resize="320x240", fps=10, topic="/left"
     )
-    assert (config.preset, config.device, config.detector.edges.weights) == ("paper", "cpu", "my.safetensors")
+    assert (config.preset, config.runtime, config.detector.edges.weights) == ("paper", "torch", "my.safetensors")
     assert config.detector.grow == preset("paper").grow
     assert command("--dump-config", "--config", tmp_path / "settings.toml") == first
 
 
 def test_flags_override_the_file(tmp_path: Path) -> None:
-    path = write(tmp_path, command("--dump-config", "--stride", 2, "--max-frames", 7, "--device", "cpu").out)
-    both = load(write(tmp_path, command("--dump-config", "--config", path, "--stride", 3, "--device", "auto").out), {})
-    assert (both.input.stride, both.input.max_frames, both.device) == (3, 7, "auto")
+    path = write(tmp_path, command("--dump-config", "--stride", 2, "--max-frames", 7, "--runtime", "torch").out)
+    both = load(write(tmp_path, command("--dump-config", "--config", path, "--stride", 3, "--runtime", "auto").out), {})
+    assert (both.input.stride, both.input.max_frames, both.runtime) == (3, 7, "auto")

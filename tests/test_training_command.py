@@ -15,9 +15,9 @@ import pytest
 import torch
 from safetensors import safe_open
 
+from airline.spec import SPECS
 from airline.train import main
 from airline.training.validation import Validation
-from airline.unet import SPECS
 from airline.weights import load_unet
 from tests.command import ROOT, read_screen
 from tests.pictures import picture

@@ -11,6 +11,7 @@ import torch
 
 from airline.edges import UNetEdges
 from airline.errors import ConfigError, InputError
+from airline.spec import SPECS, UNetSpec
 from airline.training import checkpoint
 from airline.training.batches import batches, make_batch
 from airline.training.dataset import Sample
@@ -18,7 +19,7 @@ from airline.training.loop import State, find_device, train
 from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
 from airline.training.validation import Validation, split
-from airline.unet import SPECS, UNet, UNetSpec
+from airline.unet import UNet
 from airline.weights import load_unet, save_unet
 from tests.pictures import labelled, picture
 

@@ -10,7 +10,8 @@ import torch
 
 import airline.weights
 from airline import UNetEdges, WeightsError
-from airline.unet import UNet, UNetSpec
+from airline.spec import UNetSpec
+from airline.unet import UNet
 from airline.weights import BUNDLED, bundled_path, load_unet, save_unet
 
 
@@ -112,4 +113,4 @@ def test_weights_that_are_not_numbers_are_refused(tmp_path):
 
 def test_a_copy_of_the_bundled_weights_works_as_a_file(tmp_path):
     shutil.copy(bundled_path("default"), tmp_path / "copy.safetensors")
-    UNetEdges(tmp_path / "copy.safetensors", device="cpu")
+    UNetEdges(tmp_path / "copy.safetensors", runtime="torch")

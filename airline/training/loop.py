@@ -8,16 +8,18 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
+from typing import Literal
 
 import torch
 
-from airline.edges import Device
 from airline.errors import ConfigError
 from airline.training.batches import batches
 from airline.training.dataset import Sample
 from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
 from airline.unet import UNet
+
+Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass

@@ -127,7 +127,7 @@ def _folded(net: UNet, device: torch.device) -> UNet:
 
 
 def _detector(plain: UNet) -> AirLine:
-    return AirLine(edges=UNetEdges(plain, "cuda" if plain.head.weight.is_cuda else "cpu"))
+    return AirLine(edges=UNetEdges(plain, "cuda" if plain.head.weight.is_cuda else "torch"))
 
 
 def _line_scores(detector: AirLine, samples: list[Sample]) -> tuple[float, float, float]:

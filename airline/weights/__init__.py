@@ -10,9 +10,13 @@ import hashlib
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from airline.errors import WeightsError
+from airline.spec import UNetSpec
 
 if TYPE_CHECKING:
     from airline.unet import UNet
@@ -34,19 +38,19 @@ def bundled_path(name: str) -> Path:
     return Path(__file__).with_name(f"{name}.safetensors")
 
 
-def load_unet(weights: str | Path) -> UNet:
-    """The edge network with its weights, ready for inference on the CPU.
+def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.float32]]]:
+    """The edge network's shape and tensors, without torch.
 
     Args:
         weights: name of bundled weights, or path of a safetensors file.
 
+    Returns:
+        The shape, and float32 arrays by the names of `UNetSpec.shapes`.
+
     Raises:
         WeightsError: missing, damaged, or not made for this network.
     """
-    import torch
     from safetensors import SafetensorError, safe_open
-
-    from airline.unet import UNet, UNetSpec
 
     path = bundled_path(str(weights)) if str(weights) in BUNDLED else Path(weights)
     if not path.is_file():
@@ -54,29 +58,50 @@ def load_unet(weights: str | Path) -> UNet:
     if str(weights) in BUNDLED and hashlib.sha256(path.read_bytes()).hexdigest() != BUNDLED[str(weights)]:
         raise WeightsError(f"the bundled weights {path.name} are damaged (wrong SHA-256): reinstall the package")
     try:
-        with safe_open(path, framework="pt") as stored:
+        with safe_open(path, framework="numpy") as stored:
             metadata = stored.metadata() or {}
             tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError) as error:
+    except (SafetensorError, OSError, TypeError) as error:
         raise WeightsError(
             f"{path} is not a readable safetensors file ({error}): give a file of airline.train"
         ) from None
     try:
-        spec = UNetSpec(**{field.name: int(metadata[field.name]) for field in fields(UNetSpec)})
-        shape = [getattr(spec, field.name) for field in fields(UNetSpec) if field.name != "smoothed"]
-        if not all(1 <= size <= 1024 for size in shape) or spec.levels > 8 or not 0 <= spec.smoothed <= 8:
-            raise ValueError("its network shape is out of range")
-        with torch.device("meta"):
-            net = UNet(spec)
-        net.load_state_dict(tensors, strict=True, assign=True)
-        if not all(t.is_floating_point() and bool(t.isfinite().all()) for t in tensors.values()):
-            raise ValueError("it holds values that are not finite numbers")
-    except (KeyError, ValueError, RuntimeError) as error:
+        return _checked(metadata, tensors)
+    except (KeyError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise WeightsError(
             f"{path} does not hold weights of this edge network ({reason}): train with airline.train"
         ) from None
-    return net.float().eval()
+
+
+def load_unet(weights: str | Path) -> UNet:
+    """The edge network with its weights, ready for inference on the CPU; arguments and errors of `load_weights`."""
+    import torch
+
+    from airline.unet import UNet
+
+    spec, tensors = load_weights(weights)
+    with torch.device("meta"):
+        net = UNet(spec)
+    net.load_state_dict({key: torch.from_numpy(value) for key, value in tensors.items()}, strict=True, assign=True)
+    return net.eval()
+
+
+def _checked(metadata: dict[str, str], tensors: dict[str, NDArray[Any]]) -> tuple[UNetSpec, dict[str, Any]]:
+    """Shape and tensors that fit each other; raises KeyError and ValueError."""
+    spec = UNetSpec(**{field.name: int(metadata[field.name]) for field in fields(UNetSpec)})
+    shape = [getattr(spec, field.name) for field in fields(UNetSpec) if field.name != "smoothed"]
+    if not all(1 <= size <= 1024 for size in shape) or spec.levels > 8 or not 0 <= spec.smoothed <= 8:
+        raise ValueError("its network shape is out of range")
+    expected = spec.shapes()
+    if tensors.keys() != expected.keys():
+        raise ValueError(f"its tensors differ: {', '.join(sorted(tensors.keys() ^ expected.keys())[:3])}")
+    for name, tensor in tensors.items():
+        if tensor.shape != expected[name]:
+            raise ValueError(f"{name} has the shape {tensor.shape} and not {expected[name]}")
+        if tensor.dtype.kind != "f" or not np.isfinite(tensor).all():
+            raise ValueError("it holds values that are not finite numbers")
+    return spec, {name: tensor.astype(np.float32, copy=False) for name, tensor in tensors.items()}
 
 
 def save_unet(net: UNet, path: Path, **notes: str) -> str:

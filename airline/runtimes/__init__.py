@@ -1,0 +1,68 @@
+"""Where the edge network runs: OpenVINO, torch, CUDA. One file each; every one gives the same edges."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from airline.image import Gray
+
+if TYPE_CHECKING:
+    from airline.unet import UNet
+
+Runtime = Literal["auto", "openvino", "torch", "cuda"]
+
+
+class EdgeNetwork(Protocol):
+    """A network that is ready to run."""
+
+    @property
+    def name(self) -> str:
+        """The runtime and its precision, such as "openvino bf16"."""
+        ...
+
+    def __call__(self, gray: Gray) -> NDArray[np.float32]:
+        """(H, W) uint8 or uint16 image of any size to (H, W) float32 edge probability, an array of the caller's own."""
+        ...
+
+
+def open_network(weights: str | Path | UNet, runtime: Runtime = "auto") -> EdgeNetwork:
+    """Load the edge network.
+
+    Args:
+        weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
+        runtime: "openvino" (bfloat16 where the processor has it), "torch" (float32 on the CPU), "cuda", or "auto": CUDA
+            where there is such a device, else OpenVINO where it is installed, else torch.
+
+    Raises:
+        WeightsError: the weights are missing, damaged or made for another network.
+        ConfigError: the runtime is not here, or cannot take these weights.
+    """
+    if runtime == "auto":
+        runtime = _best(weights)
+    if runtime == "openvino":
+        if not isinstance(weights, (str, Path)):
+            raise ConfigError("OpenVINO takes weights from a file: save the network, or use the runtime torch")
+        try:
+            from airline.runtimes.openvino_cpu import OpenVinoNetwork
+        except ImportError as error:
+            raise ConfigError(f"OpenVINO cannot be used ({error}): install openvino, or use --runtime torch") from error
+        return OpenVinoNetwork(weights)
+    from airline.runtimes.torch_eager import TorchNetwork
+
+    return TorchNetwork(weights, cuda=runtime == "cuda")
+
+
+def _best(weights: str | Path | UNet) -> Runtime:
+    if shutil.which("nvidia-smi"):  # asking torch takes a second, which machines without such a driver need not wait
+        import torch
+
+        if torch.cuda.is_available():
+            return "cuda"
+    return "openvino" if isinstance(weights, (str, Path)) and importlib.util.find_spec("openvino") else "torch"

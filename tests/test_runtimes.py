@@ -1,0 +1,131 @@
+"""The edge network gives the same edges in every runtime."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline import AirLine
+from airline.edges import UNetEdges
+from airline.errors import ConfigError, WeightsError
+from airline.runtimes import open_network
+from airline.runtimes.openvino_cpu import OpenVinoNetwork
+from airline.runtimes.openvino_graph import build
+from airline.runtimes.torch_eager import TorchNetwork
+from airline.spec import SPECS, UNetSpec
+from airline.unet import UNet
+from airline.weights import load_weights, save_unet
+from frontend.sources.scene import SceneSource
+
+WITHIN = {"f32": (1e-4, 1e-6), "bf16": (0.06, 0.002)}  # largest and mean difference of edge probabilities
+
+
+@pytest.fixture(scope="module")
+def scene() -> np.ndarray:
+    image: np.ndarray = next(iter(SceneSource())).image[:, :, 1]
+    return image
+
+
+def in_precision(weights: str, precision: str) -> OpenVinoNetwork:
+    network = OpenVinoNetwork(weights)
+    network._precision = precision
+    return network
+
+
+def assert_close(ours: np.ndarray, theirs: np.ndarray, precision: str) -> None:
+    difference = np.abs(ours - theirs)
+    assert ours.shape == theirs.shape
+    assert ours.dtype == theirs.dtype == np.float32
+    assert (difference.max() <= WITHIN[precision][0]) & (difference.mean() <= WITHIN[precision][1])
+
+
+@pytest.mark.parametrize("precision", WITHIN)
+@pytest.mark.parametrize("weights", ["default", "fast"])
+def test_openvino_agrees_with_torch(scene: np.ndarray, weights: str, precision: str) -> None:
+    ours, theirs = in_precision(weights, precision), TorchNetwork(weights)
+    low_contrast = (195 + scene / 25).astype(np.uint8)
+    dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
+    for image in (scene, scene[:240, 5:219], scene[::2, ::3], scene[:, ::-1], low_contrast, dark16):
+        assert_close(ours(image), theirs(image), precision)
+
+
+@given(height=st.integers(1, 70), width=st.integers(1, 70), seed=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_any_size(height: int, width: int, seed: int) -> None:
+    image = np.random.default_rng(seed).integers(0, 256, (height, width), np.uint8)
+    assert_close(EXACT(image), TORCH(image), "f32")
+
+
+EXACT, TORCH = in_precision("fast", "f32"), TorchNetwork("fast")
+
+
+@pytest.mark.parametrize(
+    "spec", [UNetSpec(base=8, levels=3, convs=2), UNetSpec(base=4, levels=1, unshuffle=1, smoothed=3), SPECS["default"]]
+)
+def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec) -> None:
+    torch.manual_seed(1)
+    net = UNet(spec)
+    assert {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()} == spec.shapes()
+    save_unet(net, tmp_path / "net.safetensors")
+    image = np.random.default_rng(0).integers(0, 256, (50, 40), np.uint8)
+    ours = in_precision(str(tmp_path / "net.safetensors"), "f32")
+    assert_close(ours(image), TorchNetwork(net.eval())(image), "f32")
+
+
+def test_lines_agree(scene: np.ndarray) -> None:
+    ours, theirs = AirLine(runtime="openvino")(scene), AirLine(runtime="torch")(scene)
+    assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)
+    near = [np.abs(theirs.segments - segment).max(axis=(1, 2)).min() < 1 for segment in ours.segments]
+    assert np.mean(near) > 0.9
+
+
+def test_results_are_the_callers_own_and_threads_do_not_mix(scene: np.ndarray) -> None:
+    network = OpenVinoNetwork("fast")
+    images = [np.ascontiguousarray(np.roll(scene, 40 * k, axis=1)) for k in range(6)]
+    alone = [network(image).copy() for image in images]
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(network, images * 3))
+    for result, expected in zip(together, alone * 3, strict=True):
+        np.testing.assert_array_equal(result, expected)
+    assert len({result.ctypes.data for result in together}) == len(together)
+
+
+def test_few_sizes_are_kept() -> None:
+    network = OpenVinoNetwork("fast")
+    for side in range(20, 30):
+        network(np.zeros((side, side), np.uint8))
+    assert len(network._requests) == 4
+
+
+def test_choice_of_runtime(tmp_path: Path) -> None:
+    assert open_network("fast", "torch").name == "torch cpu f32"
+    assert open_network("fast", "openvino").name in ("openvino bf16", "openvino f32")
+    assert open_network(UNet(SPECS["fast"]).eval()).name.startswith("torch")
+    if not torch.cuda.is_available():
+        assert open_network("fast").name.startswith("openvino")
+        with pytest.raises(ConfigError, match="no CUDA device"):
+            open_network("fast", "cuda")
+    with pytest.raises(ConfigError, match="from a file"):
+        UNetEdges(UNet(SPECS["fast"]), "openvino")
+    with pytest.raises(WeightsError, match="no weights file"):
+        open_network(tmp_path / "missing.safetensors", "openvino")
+
+
+def test_detecting_needs_no_torch() -> None:
+    code = "import sys, numpy, airline; airline.AirLine(runtime='openvino')(numpy.zeros((64, 64), numpy.uint8)); "
+    code += "sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_graph_takes_its_sizes_from_the_image() -> None:
+    model = build(*load_weights("fast"), 37, 53, np.uint8)
+    assert [tuple(model.output(0).shape)] == [(37, 53)]
+    assert [tuple(parameter.shape) for parameter in model.inputs] == [(1, 1, 37, 53), (3,)]
