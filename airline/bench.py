@@ -1,0 +1,162 @@
+"""How fast the detector is, beside OpenCV's LSD in the same run: `python -m airline.bench`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.command import EXIT_USER_ERROR, Parser
+from airline.errors import AirLineError, ConfigError, InputError
+
+if TYPE_CHECKING:
+    from airline.detector import AirLine
+
+PICTURES = 10  # of the built-in clip, far apart
+SPACING = 12  # frames between them
+WARM_UP = 3
+
+
+def build_parser() -> Parser:
+    """All arguments."""
+    parser = Parser(prog="python -m airline.bench", description="Time the detector beside OpenCV's LSD, interleaved.")
+    parser.add_argument("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
+    parser.add_argument("--size", default="640x480", metavar="WxH", help="resize images to this (default: %(default)s)")
+    parser.add_argument("--preset", choices=["default", "fast", "paper"], default="default")
+    parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
+    parser.add_argument("--threads", type=int, metavar="N", help="use so many processor cores (default: all)")
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="over all images (default: %(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    options = build_parser().parse_args(arguments)
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    try:
+        if options.rounds < 1:
+            raise ConfigError("--rounds must be 1 or more")
+        _limit_cores(options.threads)
+        from airline.detector import AirLine  # libraries count the cores when they load
+
+        pictures = load_pictures(options.images, options.size)
+        detector = AirLine(options.preset, runtime=options.runtime)
+        figures = measure(detector, pictures, options.rounds)
+    except AirLineError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    figures = {"preset": options.preset, "runtime": _name(detector), "size": options.size, **figures}
+    print(as_text(figures))
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+def load_pictures(paths: Sequence[Path], size: str) -> list[NDArray[np.uint8]]:
+    """Grey pictures of one size.
+
+    Raises:
+        InputError: an image cannot be read.
+        ConfigError: the size is none.
+    """
+    import cv2
+
+    width, _, height = size.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
+        raise ConfigError(f"'{size}' is no size: give WIDTHxHEIGHT of 16 px and more, such as 640x480")
+    if paths:
+        loaded = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
+        for path, image in zip(paths, loaded, strict=True):
+            if image is None:
+                raise InputError(f"cannot read the image {path}")
+    else:
+        from airline.scenes import Sequence as Clip
+
+        clip = Clip(kind="indoor", motion="handheld", seed=12, frames=PICTURES * SPACING)
+        views = islice(clip, 0, None, SPACING)
+        loaded = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in views]
+    return [cv2.resize(image, (int(width), int(height)), interpolation=cv2.INTER_AREA) for image in loaded]
+
+
+def measure(detector: AirLine, pictures: Sequence[NDArray[np.uint8]], rounds: int) -> dict[str, Any]:
+    """Milliseconds of every stage, in total, and of LSD: one after the other on each picture."""
+    import cv2
+
+    lsd = cv2.createLineSegmentDetector()
+    stages: dict[str, list[float]] = {}
+    total: list[float] = []
+    peer: list[float] = []
+    lines: list[int] = []
+    for _ in range(WARM_UP):
+        detector(pictures[0])
+        lsd.detect(pictures[0])
+    for picture in [picture for _ in range(rounds) for picture in pictures]:
+        started = time.perf_counter()
+        trace = detector.trace(picture)
+        total.append(1e3 * (time.perf_counter() - started))
+        lines.append(len(trace.lines))
+        for stage, spent in trace.stage_ms.items():
+            stages.setdefault(stage, []).append(spent)
+        started = time.perf_counter()
+        lsd.detect(picture)
+        peer.append(1e3 * (time.perf_counter() - started))
+    medians = {stage: _median(spent) for stage, spent in stages.items()}
+    return {
+        "pictures": len(total),
+        "lines": float(np.mean(lines)),
+        "stage_ms": medians,
+        "stage_p95_ms": {stage: _p95(spent) for stage, spent in stages.items()},
+        "total_ms": _median(total),
+        "total_p95_ms": _p95(total),
+        "lsd_ms": _median(peer),
+        "lsd_p95_ms": _p95(peer),
+        "ratio_lsd": round(float(np.median(peer) / np.median(total)), 3),
+    }
+
+
+def as_text(figures: dict[str, Any]) -> str:
+    """The figures as aligned columns."""
+    head = f"{figures['preset']}, {figures['runtime']}, {figures['size']}, {figures['lines']:.0f} lines"
+    rows = [(stage, ms, figures["stage_p95_ms"][stage]) for stage, ms in figures["stage_ms"].items()]
+    rows += [("total", figures["total_ms"], figures["total_p95_ms"]), ("LSD", figures["lsd_ms"], figures["lsd_p95_ms"])]
+    table = [f"{head}\n{'':12}{'median ms':>10}{'p95 ms':>10}"]
+    table += [f"{name:12}{median:10.2f}{p95:10.2f}" for name, median, p95 in rows]
+    return "\n".join([*table, f"LSD takes {figures['ratio_lsd']:.2f} times as long as the detector"])
+
+
+def _limit_cores(threads: int | None) -> None:
+    if threads is None:
+        return
+    if not hasattr(os, "sched_setaffinity"):
+        raise ConfigError("--threads needs Linux, where a process can be kept to some cores")
+    cores = sorted(os.sched_getaffinity(0))
+    if not 1 <= threads <= len(cores):
+        raise ConfigError(f"--threads must be between 1 and {len(cores)}, not {threads}")
+    os.sched_setaffinity(0, cores[:threads])
+    os.environ["OMP_NUM_THREADS"] = str(threads)
+
+
+def _name(detector: AirLine) -> str:
+    network = getattr(detector.edges, "network", None)
+    return network.name if network is not None else type(detector.edges).__name__
+
+
+def _median(spent: list[float]) -> float:
+    return round(float(np.median(spent)), 3)
+
+
+def _p95(spent: list[float]) -> float:
+    return round(float(np.percentile(spent, 95)), 3)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""The detector's benchmark: what it prints and writes."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from airline.bench import main
+
+STAGES = ["edges", "pixels", "orientation", "grow", "fit", "refine"]
+
+
+@pytest.fixture
+def all_cores() -> Iterator[None]:
+    """`--threads` keeps the process to some cores; give them back."""
+    cores = os.sched_getaffinity(0)
+    yield
+    os.sched_setaffinity(0, cores)
+
+
+def test_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], all_cores: None) -> None:
+    pictures = [str(path) for path in sorted(clip.iterdir())[:2]]
+    file = tmp_path / "bench.json"
+    flags = ["--size", "160x120", "--preset", "fast", "--rounds", "2", "--threads", "1", "--json", str(file)]
+    assert main([*pictures, *flags]) == 0
+    figures = json.loads(file.read_text())
+    assert (figures["preset"], figures["size"], figures["pictures"]) == ("fast", "160x120", 4)
+    assert list(figures["stage_ms"]) == list(figures["stage_p95_ms"]) == STAGES
+    assert all(0 < figures["stage_ms"][stage] <= figures["stage_p95_ms"][stage] for stage in STAGES)
+    assert max(figures["stage_ms"].values()) < figures["total_ms"] <= figures["total_p95_ms"]
+    assert figures["ratio_lsd"] == pytest.approx(figures["lsd_ms"] / figures["total_ms"], rel=0.02)
+    printed = capsys.readouterr().out
+    assert [line.split()[0] for line in printed.splitlines()[2:-1]] == [*STAGES, "total", "LSD"]
+    assert f"LSD takes {figures['ratio_lsd']:.2f} times as long" in printed
+
+
+@pytest.mark.parametrize(
+    ("flags", "hint"),
+    [
+        (["--size", "640"], "WIDTHxHEIGHT"),
+        (["--size", "3x3"], "WIDTHxHEIGHT"),
+        (["--rounds", "0"], "--rounds"),
+        (["--threads", "9999"], "--threads"),
+        (["missing.png"], "missing.png"),
+    ],
+)
+def test_errors(flags: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(flags) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert hint in captured.err
+    assert not captured.out
