@@ -46,7 +46,9 @@ class Repaired:
 def build_parser() -> Parser:
     """All arguments."""
     parser = Parser(prog="python -m logs.repair", description="Make a clean copy of a log that was cut or damaged.")
-    parser.add_argument("log", type=Path, metavar="FILE", help="an MCAP file, or NAME.parquet.unfinished")
+    parser.add_argument(
+        "log", type=Path, metavar="FILE", help="an MCAP file, NAME.parquet.unfinished or a LIMAP folder"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="the copy; else NAME.repaired.mcap, or NAME.parquet")
     parser.add_argument("--overwrite", action="store_true", help="replace the copy if there is one")
     return parser
@@ -68,6 +70,11 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         AirLineError: an argument or file cannot be used.
     """
+    if options.log.is_dir():
+        from logs.sinks.limap import repair_folder
+
+        print(f"{options.log}: finished, {repair_folder(options.log)} images")
+        return
     journal = options.log.suffix == _JOURNAL_SUFFIX
     default = options.log.with_suffix("") if journal else options.log.with_name(f"{options.log.stem}.repaired.mcap")
     out: Path = options.out or default
@@ -76,8 +83,8 @@ def run(options: argparse.Namespace) -> None:
         # what the Parquet sink writes until it is finished; all other files are taken for MCAP
         from logs.sinks.parquet import finish_journal
 
-        finish_journal(options.log, out)
-        print(f"{out}: finished")
+        rows = finish_journal(options.log, out, options.overwrite)
+        print(f"{out}: finished, {rows} rows")
         return
     repaired = repair_mcap(options.log, out)
     kept = {

@@ -6,6 +6,7 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -21,18 +22,16 @@ from logs.sinks.mcap_tracks import McapTrackSink
 from logs.sinks.parquet import ParquetTrackSink
 from tests.command import recorded
 from tests.made_tracks import clip_results
-from tests.test_viewer_picture import needs_viewer
+from tests.viewer import RERUN, ROOT, needs_viewer
 from viz.film import write_film
 from viz.importer import NOT_MINE
 from viz.track_files import kind_of
 
-ROOT = Path(__file__).parents[1]
-RERUN = Path(sys.executable).parent / "rerun"
 HEAVY = ("rerun", "torch", "pyarrow", "numpy", "cv2")
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with the same tracks in every format: clip.mcap (with images), clip.parquet and its journal."""
     folder = tmp_path_factory.mktemp("tracks")
     for sink in (McapTrackSink(folder / "clip.mcap", with_images=True), ParquetTrackSink(folder / "clip.parquet")):
@@ -44,7 +43,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         unfinished.write(result)
     unfinished._writer.flush()
     unfinished._output.file.flush()
-    return folder
+    yield folder
+    unfinished.close()
 
 
 def importer(*arguments: object) -> subprocess.CompletedProcess[bytes]:
@@ -126,31 +126,45 @@ def test_foreign_files_are_answered_without_heavy_imports(files, tmp_path):
     assert importer(tmp_path / "film.mp4", "--application-id", "film").returncode == NOT_MINE
 
 
-def test_our_log_that_was_cut_is_opened_as_far_as_it_goes(files, tmp_path):
-    whole = (files / "clip.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: -len(whole) // 3])
+def test_our_log_that_was_cut_is_opened_as_far_as_it_goes(tmp_path, monkeypatch):
+    monkeypatch.setattr("logs.sinks.mcap_output.FLUSH_S", 0)  # a chunk for each frame
+    sink = McapTrackSink(tmp_path / "whole.mcap")
+    for result in clip_results():
+        sink.write(result)
+    sink.close()
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     outcome = importer(tmp_path / "cut.mcap")
     assert outcome.returncode == 0
     assert b"cut or damaged" in outcome.stderr
     (tmp_path / "out.rrd").write_bytes(outcome.stdout)
-    assert recorded(tmp_path / "out.rrd").keys() >= {"/camera/image"} or outcome.stdout
+    columns = recorded(tmp_path / "out.rrd")["/camera/tracks"]
+    assert 2 < len(columns["frame"]) < 10
+    assert_tracks(columns, [result.tracks for result in clip_results()][: len(columns["frame"])])
 
 
-def test_our_table_that_is_damaged_is_refused_in_one_sentence(files, tmp_path):
+def test_our_table_that_is_damaged_is_refused(files, tmp_path):
     data = bytearray((files / "clip.parquet").read_bytes())
     data[1000:1100] = bytes(100)
     (tmp_path / "bad.parquet").write_bytes(data)
     outcome = importer(tmp_path / "bad.parquet")
     assert outcome.returncode == 2
     assert outcome.stderr.startswith(b"error: cannot read tracks from")
-    assert outcome.stderr.count(b"\n") == 1
+    assert b"Traceback" not in outcome.stderr
 
 
 def test_what_the_viewer_passes_is_honoured(files, tmp_path):
     from rerun.chunk import RrdReader
 
     given = ["--application-id", "some_app", "--recording-id", "some_id", "--opened-recording-id", "other"]
-    given += ["--entity-path-prefix", "robot/left", "--time_sequence", "episode=7", "--time_duration_nanos", "wait=1500"]
+    given += [
+        "--entity-path-prefix",
+        "robot/left",
+        "--time_sequence",
+        "episode=7",
+        "--time_duration_nanos",
+        "wait=1500",
+    ]
     entities = imported(tmp_path, files / "clip.mcap", *given, "--unknown", "1")
     assert {path.split("/")[1] for path in entities if not path.startswith("/__")} == {"robot"}
     tracks = entities["/robot/left/camera/tracks"]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from logs.sinks.limap import LimapTrackSink, finish_folder
+from logs.repair import main
+from logs.sinks.limap import LimapTrackSink
 from tests.made_tracks import CAMERA, clip_results, made_tracks, result_of
 
 SEGMENTS = "line_detections/lsd/segments"
@@ -93,7 +94,7 @@ def test_matches_are_complete_while_it_runs(tmp_path):
     }  # fmt: skip
     assert set(read_matches(tmp_path / "limap", 6, 4)) == {3, 5, 9, 10}
     (tmp_path / "limap/metainfos.txt").unlink()
-    finish_folder(tmp_path / "limap", 4)
+    assert main([str(tmp_path / "limap")]) == 0  # python -m logs.repair
     assert read_neighbours(tmp_path / "limap")[20] == [9, 10]
 
 

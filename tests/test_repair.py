@@ -273,7 +273,7 @@ def test_errors_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "header.mcap").write_bytes(path.read_bytes()[:60])
     for arguments, error in [
         ([tmp_path / "missing.mcap"], "cannot open the log"),
-        ([tmp_path], "cannot open the log"),
+        ([tmp_path], "is no folder of tracks for LIMAP"),
         ([tmp_path / "text.mcap"], "is not an MCAP file"),
         ([tmp_path / "header.mcap"], "has not one readable message"),
         ([path, "--out", tmp_path / "no" / "b.mcap"], "no folder"),

@@ -15,6 +15,7 @@ import pytest
 from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs.read import read_tracks
+from logs.repair import main
 from logs.sinks.open import check, kind_and_path, open_track_sink
 from logs.sinks.parquet import ParquetTrackSink, finish_journal
 from tests.made_tracks import assert_all_same, clip_results, made_tracks
@@ -172,12 +173,12 @@ def test_after_a_kill_all_but_the_last_second_is_there(killed, caplog):
     assert frames_due(killed[1][1]) > 50, "the test has something to miss"
 
 
-def test_a_journal_becomes_a_clean_file(killed, tmp_path):
+def test_a_journal_becomes_a_clean_file(killed, tmp_path, capsys):
     journal = tmp_path / "t.parquet.unfinished"
     journal.write_bytes((killed[1][0] / "all.parquet.unfinished").read_bytes())
     before = list(read_tracks(journal))
-    rows = finish_journal(journal, tmp_path / "t.parquet")
-    assert rows == 60 * len(before)
+    assert main([str(journal)]) == 0  # python -m logs.repair
+    assert capsys.readouterr().out == f"{tmp_path / 't.parquet'}: finished, {60 * len(before)} rows\n"
     assert_all_same(list(read_tracks(tmp_path / "t.parquet")), before)
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 

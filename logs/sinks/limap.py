@@ -52,7 +52,7 @@ class LimapTrackSink:
     `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
     no undistortion reaches are left out.
 
-    After a crash the folder lacks `metainfos.txt` (`finish_folder` writes it) and, of the last images, the matches with
+    After a crash the folder lacks `metainfos.txt` (`python -m logs.repair FOLDER` writes it) and, of the last images, the matches with
     what came after.
 
     Args:
@@ -166,6 +166,16 @@ def finish_folder(folder: Path, neighbours: int) -> None:
             for k, image in enumerate(images):
                 around = images[max(k - neighbours // 2, 0) : k] + images[k + 1 : k + 1 + neighbours // 2]
                 file.write(", ".join([f"image {image}", *around]) + "\n")
+
+
+def repair_folder(folder: Path) -> int:
+    """Finish the folder of a run that never ended; returns how many images it has. Raises InputError."""
+    names = sorted(path.name for path in (folder / MATCHES).glob("lbd_n*_top0"))
+    count = names[0].removeprefix("lbd_n").removesuffix("_top0") if names else ""
+    if not count.isdecimal() or not (folder / IMAGES).is_file():
+        raise InputError(f"'{folder}' is no folder of tracks for LIMAP: there is nothing to repair")
+    finish_folder(folder, int(count))
+    return len((folder / IMAGES).read_text(encoding="ascii").splitlines()) - 1
 
 
 def _save_pickled(file: BinaryIO, value: object) -> None:
