@@ -52,8 +52,8 @@ class LimapTrackSink:
     `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
     no undistortion reaches are left out.
 
-    After a crash the folder lacks `metainfos.txt` (`python -m logs.repair FOLDER` writes it) and, of the last images, the matches with
-    what came after.
+    After a crash the folder lacks `metainfos.txt` (`python -m logs.repair FOLDER` writes it) and, of the last images,
+    the matches with what came after.
 
     Args:
         folder: made if it does not exist.
