@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
+from itertools import chain
 from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
+from airline.image import Gray, to_gray
+from airline.trace import Trace
 from frontend.frame import Frame
-from frontend.protocols import FrameResult, Source
+from frontend.protocols import FrameResult, Source, is_live
+from frontend.sources.fresh import MAX_LATENCY_S, FreshFrames
+from frontend.stages import pipelined
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
 
 
 class LineFrontend:
-    """Detects and tracks lines in a stream, one frame at a time, in constant memory.
+    """Detects and tracks lines in a stream, in constant memory.
 
     Example:
         >>> from frontend import LineFrontend
@@ -43,18 +49,17 @@ class LineFrontend:
 
     def process(self, frame: Frame) -> FrameResult:
         """Detect and track in the next frame of a stream."""
-        trace = self.detector.trace(frame.image)
-        started = time.perf_counter()
-        tracks = self.tracker.update(frame, trace.lines)
-        spent = {**trace.stage_ms, "track": 1e3 * (time.perf_counter() - started)}
-        return FrameResult(frame, trace, tracks, spent)
+        return self._track(self._trace(self._detect(_Read(frame, time.perf_counter()))))
 
-    def stream(self, source: Source | str | PathLike[str]) -> Iterator[LineTracks]:
+    def stream(
+        self, source: Source | str | PathLike[str], *, max_latency_s: float = MAX_LATENCY_S
+    ) -> Iterator[LineTracks]:
         """Tracks of every frame of a source.
 
         Args:
             source: a `Source`, or whatever `frontend.open_source` takes: a video file, an image folder or glob, a
-                camera index, a stream URL.
+                camera index, a stream URL. It is read in another thread.
+            max_latency_s: of a live source only, see `FreshFrames`: frames that come too fast are dropped.
 
         Raises:
             InputError: the source cannot be used.
@@ -62,8 +67,80 @@ class LineFrontend:
         from frontend.sources import open_source
 
         opened = open_source(source) if isinstance(source, (str, PathLike)) else source
+        if is_live(opened):
+            opened = FreshFrames(opened, max_latency_s)
         try:
-            for frame in opened:
-                yield self.process(frame).tracks
+            for result in self.results(opened):
+                yield result.tracks
         finally:
             opened.close()
+
+    def results(
+        self, source: Source, *, serial: bool = False, prepare: Callable[[Frame], None] | None = None
+    ) -> Generator[FrameResult, None, None]:
+        """All that is known of every frame of a source, in order.
+
+        Reading, edge detection, the stages after it and tracking run in a thread each, so that their work on different
+        frames overlaps; see `frontend.stages.pipelined` for errors and for the end. Close the generator to stop early.
+
+        Args:
+            source: the frames; left open. Of `FreshFrames`, each is taken only when the edge detector is ready for it.
+            serial: do one thing after the other, in the caller's thread. The results are the same.
+            prepare: called with the first frame before anything is done with it.
+        """
+        read = _read(source)
+        try:
+            first = next(read, None)
+            if first is None:
+                return
+            if prepare is not None:
+                prepare(first.frame)
+                if isinstance(source, FreshFrames):
+                    source.restart()
+            items = chain([first], read)
+            if serial:
+                yield from (self._track(self._trace(self._detect(item))) for item in items)
+            else:
+                read_ahead = not isinstance(source, FreshFrames)
+                yield from pipelined(items, self._detect, self._trace, self._track, read_ahead=read_ahead)
+        finally:
+            read.close()
+
+    def _detect(self, read: _Read) -> _Detected:
+        gray = to_gray(read.frame.image)
+        started = time.perf_counter()
+        edges = self.detector.edges.detect(gray)
+        return _Detected(read, gray, edges, 1e3 * (time.perf_counter() - started))
+
+    def _trace(self, detected: _Detected) -> _Traced:
+        return _Traced(detected.read, self.detector.trace_edges(detected.edges, detected.gray, detected.edges_ms))
+
+    def _track(self, traced: _Traced) -> FrameResult:
+        (frame, arrived_s), trace = traced
+        started = time.perf_counter()
+        tracks = self.tracker.update(frame, trace.lines)
+        done = time.perf_counter()
+        spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
+        return FrameResult(frame, trace, tracks, spent, 1e3 * (done - arrived_s))
+
+
+class _Read(NamedTuple):
+    frame: Frame
+    arrived_s: float  # by time.perf_counter()
+
+
+class _Detected(NamedTuple):
+    read: _Read
+    gray: Gray
+    edges: NDArray[np.float32]
+    edges_ms: float
+
+
+class _Traced(NamedTuple):
+    read: _Read
+    trace: Trace
+
+
+def _read(source: Source) -> Generator[_Read, None, None]:
+    for frame in source:
+        yield _Read(frame, source.arrived_s if isinstance(source, FreshFrames) else time.perf_counter())

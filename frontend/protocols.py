@@ -20,17 +20,22 @@ class FrameResult:
         trace: the detector's intermediate results and lines.
         tracks: the tracks seen in this frame.
         stage_ms: milliseconds per stage of the whole pipeline.
+        latency_ms: milliseconds from when the frame had been read to when its tracks were known.
     """
 
     frame: Frame
     trace: Trace
     tracks: LineTracks
     stage_ms: Mapping[str, float]
+    latency_ms: float = 0.0
 
 
 @runtime_checkable
 class Source(Protocol):
-    """A stream of frames. Iterating yields frames in time order; a source is iterated once."""
+    """A stream of frames. Iterating yields frames in time order; a source is iterated once, perhaps in another thread.
+
+    A source whose frames come whether or not somebody takes them says so by an attribute `live = True`.
+    """
 
     @property
     def name(self) -> str:
@@ -52,6 +57,11 @@ class Source(Protocol):
     def close(self) -> None:
         """Release files and devices; safe to call twice."""
         ...
+
+
+def is_live(source: Source) -> bool:
+    """Whether the source's frames come whether or not somebody takes them."""
+    return bool(getattr(source, "live", False))
 
 
 class Sink(Protocol):

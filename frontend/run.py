@@ -6,14 +6,15 @@ import json
 import logging
 import os
 import shlex
+import signal
 import sys
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.command import EXIT_USER_ERROR
-from airline.errors import AirLineError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.flags import build_parser, settings_of
 from frontend.terminal import progress, set_up_logging
 
@@ -21,9 +22,11 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterable, Iterator
 
+    from frontend.frame import Frame
     from frontend.protocols import Sink, Source
     from frontend.settings import RunConfig
     from frontend.summary import Summary
+    from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
 
@@ -97,6 +100,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C; print and write the summary; returns the exit code."""
     from logs.sinks.open import check, kind_and_path, open_track_sink
 
+    video = video_to_log(options.input, config)
     check_output(options.save, "--save", ".rrd")
     check_output(options.summary, "--summary", ".json")
     for spec in options.out:
@@ -111,11 +115,21 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 spec, overwrite=options.overwrite, with_images=options.with_images, labels=options.labels
             )
         if save is not None or viewer is not None:
-            yield open_recording(save, viewer, source.name, config)
+            yield open_recording(save, viewer, source.name, config, video)
 
-    with closing(open_input(options.input, config)) as source:
-        save, viewer = where_to_record(options, source.name)
-        code, summary = process(source, config, open_sinks)
+    with ExitStack() as serving:
+        server = serving.enter_context(web_viewer()) if options.serve else None
+        with closing(open_input(options.input, config)) as source:
+            save, viewer = where_to_record(options, source.name, server)
+            code, summary = process(source, config, open_sinks)
+        report(options, save, summary)
+        if server is not None and code == 0:
+            wait_for_interrupt(server)
+    return code
+
+
+def report(options: argparse.Namespace, save: Path | None, summary: Summary) -> None:
+    """Print the figures and what was written where."""
     from rich.console import Console
 
     Console().print(summary.table())
@@ -126,7 +140,50 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             print(f"wrote {spec}")
     if options.summary is not None:
         write_summary(options.summary, summary)
-    return code
+
+
+def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
+    """The input's file if it stands for the frames in the recording."""
+    if config.recording.image != "video":
+        return None
+    if config.input.resize is not None or config.input.undistort:
+        raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
+    if spec is None:
+        raise ConfigError("--log-image video needs a video file as its input: name one, or use --log-image jpeg")
+    return Path(spec)
+
+
+@contextmanager
+def web_viewer() -> Iterator[WebViewer | None]:
+    """A viewer for browsers, while the block runs; None, and a warning, where it does not start."""
+    from viz.viewer import serve
+
+    viewer = serve()
+    if viewer is None:
+        log.warning("no web viewer could be started: going on without it")
+        yield None
+        return
+    print(f"watch at {viewer.url}", f"or with: rerun {viewer.stream}", sep="\n", flush=True)
+    before = signal.signal(signal.SIGTERM, _interrupt)  # or the viewer would outlive a run that is told to end
+    try:
+        yield viewer
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        viewer.close()
+
+
+def wait_for_interrupt(viewer: WebViewer) -> None:
+    """Keep the web viewer up until Ctrl-C, or until it ends by itself."""
+    print(f"serving at {viewer.url} until Ctrl-C", flush=True)
+    try:
+        viewer.process.wait()
+    except KeyboardInterrupt:
+        return
+    log.warning("the web viewer has ended")
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def list_topics(spec: str | None) -> int:
@@ -145,33 +202,45 @@ def list_topics(spec: str | None) -> int:
     return 0
 
 
-def where_to_record(options: argparse.Namespace, name: str) -> tuple[Path | None, str | None]:
-    """The file to save, or the address of a viewer: a window where one can open and no file was asked for.
+def where_to_record(
+    options: argparse.Namespace, name: str, server: WebViewer | None = None
+) -> tuple[Path | None, str | None]:
+    """The file to save and the address of a viewer: the one that was asked for, or a window where one can open.
 
-    Without a window the recording goes to a file named after the input, unless --out says where results go.
+    Without either the recording goes to a file named after the input, unless --out says where results go.
     """
-    if options.save is not None:
-        return options.save, None
-    if not options.headless and has_display():
+    if options.connect is not None or server is not None:
+        return options.save, options.connect if server is None else server.stream
+    if options.spawn or (options.save is None and not options.headless and not options.serve and has_display()):
         from viz.viewer import open_viewer
 
         viewer = open_viewer()
         if viewer is not None:
-            return None, viewer
-        log.warning("no viewer window could be opened%s", "" if options.out else f": saving {name}.rrd instead")
+            return options.save, viewer
+        saved = options.save is not None or options.out
+        log.warning("no viewer window could be opened%s", "" if saved else f": saving {name}.rrd instead")
+    if options.save is not None:
+        return options.save, None
     return (None if options.out else Path(f"{name}.rrd")), None
 
 
-def open_recording(save: Path | None, viewer: str | None, name: str, config: RunConfig) -> Sink:
-    """The Rerun recording, into a file or a viewer."""
+def open_recording(
+    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
+) -> Sink:
+    """The Rerun recording, into a file, a viewer or both."""
     from viz.rerun_sink import RerunSink
 
+    chosen = config.recording
     return RerunSink(
         save=save,
         connect=viewer,
         name=name,
-        descriptor_every=config.recording.descriptor_every,
-        jpeg_quality=config.recording.jpeg_quality,
+        image=chosen.image,
+        video=video,
+        blueprint=chosen.blueprint,
+        every=chosen.every,
+        descriptor_every=chosen.descriptor_every,
+        jpeg_quality=chosen.jpeg_quality,
     )
 
 
@@ -191,25 +260,35 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     """
     from airline.detector import AirLine
     from frontend.pipeline import LineFrontend
+    from frontend.protocols import is_live
+    from frontend.sources.fresh import FreshFrames
     from frontend.summary import SummaryCounter
     from frontend.tracker import LineTracker
 
     frontend = LineFrontend(AirLine(config=config.detector, runtime=config.runtime), LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
+    fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
     sinks: list[Sink] = []
     ready = False
     code = 0
+
+    def prepare(frame: Frame) -> None:
+        nonlocal ready
+        frontend.warm_up(frame.image)
+        for sink in open_sinks():
+            closing_all.callback(sink.close)
+            sinks.append(sink)
+        counter.start()
+        ready = True
+
     try:
-        with progress(source.name, source.frame_count) as advance, ExitStack() as closing_all:
-            for frame in source:
-                if not ready:
-                    frontend.warm_up(frame.image)
-                    for sink in open_sinks():
-                        closing_all.callback(sink.close)
-                        sinks.append(sink)
-                    counter.start()
-                    ready = True
-                result = frontend.process(frame)
+        with (
+            progress(source.name, source.frame_count) as advance,
+            closing(fresh or source),
+            ExitStack() as closing_all,
+            closing(frontend.results(fresh or source, serial=config.serial, prepare=prepare)) as results,
+        ):
+            for result in results:
                 started = time.perf_counter()
                 for sink in sinks:
                     sink.write(result)
@@ -224,7 +303,7 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
             raise
         code = EXIT_USER_ERROR
         print(f"error: {error}", file=sys.stderr)
-    summary = counter.summary(source.skipped)
+    summary = counter.summary(source.skipped, fresh.dropped if fresh else 0)
     if not summary.frames and code == 0:
         raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
     return code, summary

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
-from frontend.protocols import Source
+from frontend.protocols import Source, is_live
 
 _SIZES = range(16, 16385)
 
@@ -95,6 +95,10 @@ class _Selection:
     @property
     def skipped(self) -> int:
         return self._source.skipped
+
+    @property
+    def live(self) -> bool:
+        return is_live(self._source)
 
     def __iter__(self) -> Iterator[Frame]:
         yielded = 0

@@ -27,6 +27,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         max_frames: at most this many frames are used.
         resize: "WIDTHxHEIGHT", or "WIDTH" to keep the aspect.
         fps: frame rate of folders without timestamps.
+        max_latency: seconds that a frame of a live source may wait before it is dropped; files never drop frames.
         topic: image topic of a log.
         time_source: where a log's times come from: the messages' headers, their publish time or the log's clock.
         calib: file with the camera's calibration.
@@ -39,6 +40,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     max_frames: Annotated[int, Meta(ge=1)] | None = None
     resize: str | None = None
     fps: Annotated[float, Meta(gt=0)] = 30.0
+    max_latency: Annotated[float, Meta(gt=0)] = 0.2
     topic: str | None = None
     time_source: Literal["header", "publish", "log"] = "header"
     calib: str | None = None
@@ -68,12 +70,18 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """What goes into the Rerun recording.
 
     Attributes:
-        jpeg_quality: of images, 1 to 100.
+        image: how the camera's image is logged; "video" logs the input file once, without the detector's stages.
+        jpeg_quality: of pictures, 1 to 100.
+        every: every so many frames one is logged.
         descriptor_every: the float descriptor map is logged every so many frames; 0 never.
+        blueprint: how the viewer lays it out.
     """
 
+    image: Literal["jpeg", "raw", "video", "none"] = "jpeg"
     jpeg_quality: Annotated[int, Meta(ge=1, le=100)] = 80
+    every: Annotated[int, Meta(ge=1)] = 1
     descriptor_every: Annotated[int, Meta(ge=0)] = 30
+    blueprint: Literal["minimal", "full"] = "full"
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -81,6 +89,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     preset: Preset = "default"
     runtime: Runtime = "auto"
+    serial: bool = False  # one thing after the other in one thread; the results are the same
     input: InputConfig = InputConfig()
     detector: DetectorConfig = DetectorConfig()
     tracker: TrackerConfig = TrackerConfig()

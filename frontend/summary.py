@@ -26,21 +26,25 @@ class Summary:
         frames: frames processed.
         fps: frames per second of wall time, sinks included.
         stage_ms: median milliseconds per stage.
+        latency_ms: median milliseconds from when a frame had been read to when its tracks were known.
         lines_per_frame: mean number of detected lines.
         live_tracks_per_frame: mean number of tracks seen, tentative ones included.
         tracks: number of tracks that were confirmed.
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
+        dropped_frames: frames of a live source that there was no time for.
     """
 
     frames: int
     fps: float
     stage_ms: dict[str, float]
+    latency_ms: float
     lines_per_frame: float
     live_tracks_per_frame: float
     tracks: int
     track_length_median: float
     skipped_frames: int
+    dropped_frames: int
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values, for JSON."""
@@ -51,10 +55,13 @@ class Summary:
         from rich.table import Table
 
         table = Table(show_header=False)
-        table.add_row("frames", f"{self.frames}" + (f" ({self.skipped_frames} skipped)" if self.skipped_frames else ""))
+        missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames}
+        notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
+        table.add_row("frames", f"{self.frames} ({notes})" if notes else f"{self.frames}")
         table.add_row("frames/s", f"{self.fps:.1f}")
         for stage, spent in self.stage_ms.items():
             table.add_row(f"{stage}, median ms", f"{spent:.2f}")
+        table.add_row("latency, median ms", f"{self.latency_ms:.2f}")
         table.add_row("lines per frame", f"{self.lines_per_frame:.1f}")
         table.add_row("live tracks per frame", f"{self.live_tracks_per_frame:.1f}")
         table.add_row("tracks", f"{self.tracks}")
@@ -71,6 +78,7 @@ class SummaryCounter:
         self.start()
         self._frames = self._lines = self._live = 0
         self._stages: dict[str, deque[float]] = {}
+        self._latencies: deque[float] = deque(maxlen=WINDOW)
         self._lengths: Counter[int] = Counter()
 
     def start(self) -> None:
@@ -84,6 +92,7 @@ class SummaryCounter:
         self._lines += len(result.trace.lines)
         self._live += len(result.tracks)
         self.add_time(result.stage_ms)
+        self._latencies.append(result.latency_ms)
         # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
         for hits in result.tracks.hits.tolist():
             self._lengths[hits] += 1
@@ -94,8 +103,8 @@ class SummaryCounter:
         for stage, spent in stage_ms.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
 
-    def summary(self, skipped: int) -> Summary:
-        """The figures so far."""
+    def summary(self, skipped: int, dropped: int = 0) -> Summary:
+        """The figures so far, with the numbers of frames that could not be read and that there was no time for."""
         elapsed = self._latest - self._started
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
@@ -104,9 +113,11 @@ class SummaryCounter:
             frames=self._frames,
             fps=round(self._frames / elapsed, 2) if elapsed > 0 else 0.0,
             stage_ms={stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()},
+            latency_ms=round(float(np.median(self._latencies)), 3) if self._latencies else 0.0,
             lines_per_frame=round(self._lines / frames, 2),
             live_tracks_per_frame=round(self._live / frames, 2),
             tracks=sum(lengths.values()),
             track_length_median=float(np.median(sizes)),
             skipped_frames=skipped,
+            dropped_frames=dropped,
         )

@@ -16,7 +16,7 @@ from frontend.calibration import fit_camera
 from frontend.camera import CameraModel
 from frontend.frame import Frame
 from frontend.opencv import Image
-from frontend.protocols import Source
+from frontend.protocols import Source, is_live
 from frontend.select import SeekableSource
 
 Array = NDArray[np.float64]
@@ -63,6 +63,10 @@ class _Calibrated:
     @property
     def skipped(self) -> int:
         return self._source.skipped
+
+    @property
+    def live(self) -> bool:
+        return is_live(self._source)
 
     def close(self) -> None:
         self._source.close()

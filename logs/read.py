@@ -17,7 +17,8 @@ _BATCH_ROWS = 16_384
 def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
     """The tracks of every frame, as they were written, one frame after the other.
 
-    Of a log or a journal that was cut, every frame that can be read is given out, with one warning.
+    Its content decides what a file is, not its name. Of a log or a journal that was cut, every frame that can be read
+    is given out, with one warning.
 
     Args:
         path: a file of `McapTrackSink` or `ParquetTrackSink`, or the `.parquet.unfinished` journal of the latter.
@@ -26,12 +27,15 @@ def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
         InputError: a file that is none of these, or that was damaged; for some damage, in the middle of the iteration.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"cannot read tracks from '{path}': there is no such file")
-    kinds = {".mcap": _read_mcap, ".parquet": _read_parquet, ".unfinished": _read_journal}
-    if path.suffix.lower() not in kinds:
-        raise InputError(f"cannot read tracks from '{path}': give a .mcap, .parquet or .parquet.unfinished file")
-    return kinds[path.suffix.lower()](path)
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read tracks from '{path}': {error}") from error
+    for magic, read in _KINDS.items():
+        if start.startswith(magic):
+            return read(path)
+    raise InputError(f"cannot read tracks from '{path}': it is no MCAP or Parquet file with tracks, and no journal")
 
 
 def _read_mcap(path: Path) -> Iterator[LineTracks]:
@@ -70,7 +74,8 @@ def _read_parquet(path: Path) -> Iterator[LineTracks]:
             notes.add(file.metadata.metadata)
             yield from read_frames(file.iter_batches(_BATCH_ROWS, columns=COLUMNS), notes)
     except DAMAGE as error:
-        raise InputError(f"cannot read tracks from '{path}', it is no Parquet file or damaged: {error}") from error
+        reason = " ".join(str(error).split())
+        raise InputError(f"cannot read tracks from '{path}', it is no Parquet file or damaged: {reason}") from error
     except InputError as error:
         raise InputError(f"cannot read tracks from '{path}': {error}") from error
 
@@ -85,3 +90,6 @@ def _read_journal(path: Path) -> Iterator[LineTracks]:
         yield from read_frames(read_journal(path, notes), notes)
     except InputError as error:
         raise InputError(f"cannot read tracks from '{path}': {error}") from error
+
+
+_KINDS = {b"\x89MCAP0\r\n": _read_mcap, b"PAR1": _read_parquet, b"\xff\xff\xff\xff": _read_journal}

@@ -17,8 +17,9 @@ from frontend.run import main
 
 ROOT = Path(__file__).parents[1]
 EVERY_FRAME = {
-    *(f"/camera/{name}" for name in ("image", "edges", "orientation", "segments", "tracks")),
-    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed")),
+    *(f"/camera/{name}" for name in ("image", "edges", "orientation", "regions", "segments")),
+    *(f"/camera/{name}" for name in ("tracks", "tracks/lost", "tails")),
+    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "lost")),
     *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "refine", "track")),
     "/stats/track_length",
 }

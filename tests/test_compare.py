@@ -20,8 +20,9 @@ from logs.sinks.parquet import ParquetTrackSink
 from tests.command import recorded
 from tests.made_tracks import clip_results
 from tests.viewer import ROOT, needs_viewer
-from viz.compare import Moment, config_of, joined, main
+from viz.compare import config_of, main
 from viz.matching import FORGET_FRAMES, Partners, TrackLengths, match_lines
+from viz.moments import Moment, joined
 
 SHIFT_PX = 0.5
 

@@ -89,6 +89,7 @@ def test_table_and_json_hold_the_same_figures(run: Run) -> None:
     assert shown.pop("frames/s") == f"{figures['fps']:.1f}"
     for stage in STAGES:
         assert shown.pop(f"{stage}, median ms") == f"{figures['stage_ms'][stage]:.2f}"
+    assert shown.pop("latency, median ms") == f"{figures['latency_ms']:.2f}"
     assert shown.pop("lines per frame") == f"{figures['lines_per_frame']:.1f}"
     assert shown.pop("live tracks per frame") == f"{figures['live_tracks_per_frame']:.1f}"
     assert shown.pop("tracks") == str(figures["tracks"])

@@ -261,6 +261,7 @@ def test_http_stream(videos: Path, name: str) -> None:
         source = open_source(f"http://127.0.0.1:{server.server_port}/{name}")
         assert isinstance(source, LiveSource)
         assert source.frame_count is None
+        assert not source.live, "a recording waits for who reads it"
         assert source.name == f"127.0.0.1-{server.server_port}-{name}"  # can name a file
         frames = list(source)
         source.close()

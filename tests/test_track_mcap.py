@@ -257,5 +257,5 @@ def test_other_files_are_refused(tmp_path):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(InputError, match=name):
             list(read_tracks(tmp_path / name))
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="No such file"):
         read_tracks(tmp_path / "missing.mcap")

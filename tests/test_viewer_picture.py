@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from frontend.colours import track_colours
 from tests.moving_rectangle import frame_results
-from viz.colours import track_colours
 from viz.rerun_sink import RerunSink
 
 FRAMES = 10

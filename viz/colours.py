@@ -1,43 +1,13 @@
-"""Colours that mean something: one per track id, one per line angle."""
+"""Colours of single detections: one per line angle, and a quiet one for segments."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
-PALE = 0.55  # how far a tentative track's colour is moved towards white
-QUIET = (255, 196, 64)  # segments that belong to no track yet, RGB
+from frontend.colours import hsv_to_rgb
 
-
-def hsv_to_rgb(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArray[np.uint8]:
-    """(..., 3) uint8 RGB of HSV values in [0, 1]; the hue is periodic (Smith 1978, in closed form)."""
-    sectors = (np.asarray(hue, float)[..., None] * 6 + np.array([5, 3, 1])) % 6
-    distance = np.clip(np.minimum(sectors, 4 - sectors), 0, 1)
-    rgb = np.asarray(value)[..., None] * (1 - np.asarray(saturation)[..., None] * distance)
-    colours: NDArray[np.uint8] = np.rint(255 * rgb).astype(np.uint8)
-    return colours
-
-
-def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
-    """Colours that stay with a track's id: bright, and far apart for ids that follow each other.
-
-    Hues step by the golden ratio, which spreads any run of ids evenly over the circle; saturation changes more slowly,
-    so that ids whose hues come close again still differ. Value stays high: lines lie on dark and bright pictures.
-
-    Args:
-        ids: (N,) int64 track ids.
-        confirmed: (N,) mask; the others are drawn paler in the same hue. None: all confirmed.
-
-    Returns:
-        (N, 3) uint8 RGB.
-    """
-    saturation = np.array([0.9, 0.65, 0.8])[(ids // 5) % 3]
-    colours = hsv_to_rgb((ids * GOLDEN_RATIO) % 1, saturation, np.full(len(ids), 1.0))
-    if confirmed is None:
-        return colours
-    pale = np.rint(colours + PALE * (255.0 - colours)).astype(np.uint8)
-    return np.where(confirmed[:, None], colours, pale)
+QUIET = (255, 196, 64)  # segments, which are not yet part of any track, RGB
 
 
 def angle_colours(angles: NDArray[np.float32], strength: NDArray[np.float32]) -> NDArray[np.uint8]:

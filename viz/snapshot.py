@@ -175,7 +175,7 @@ def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) ->
     from viz.recording import Recording
 
     opened = Recording(recording)
-    chosen = opened.check(opened.indices[-1] if frame is None else frame)
+    chosen = opened.at(opened.indices[-1] if frame is None else frame)
     overlay = draw_frame(next(opened.frames(chosen, chosen)))
     try:
         written = cv2.imwrite(str(picture), overlay)

@@ -49,6 +49,11 @@ class LiveSource:
     def skipped(self) -> int:
         return 0
 
+    @property
+    def live(self) -> bool:
+        """False for a recording behind a URL, which waits for who reads it."""
+        return not 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
+
     def __iter__(self) -> Iterator[Frame]:
         index = 0
         last_ns = 0

@@ -1,0 +1,268 @@
+"""How fast the whole pipeline is, with and without sinks, in series and overlapped: `python -m frontend.bench`.
+
+The frames are held in memory as JPEG files, so that every run decodes them as it would those of a video, but none waits
+for a disk or for the rendering of the built-in clip. Every run has a process of its own, and the runs take turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from airline.command import Parser
+from airline.errors import ConfigError, InputError
+from airline.evaluation.command import exit_code, write_json
+from frontend.frame import Frame
+from frontend.terminal import progress
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from frontend.protocols import Sink
+    from frontend.settings import RunConfig
+
+SIZES = ("640x480", "752x480", "1280x720", "1920x1080")
+CLIP_FRAMES = 120  # held in memory; longer runs go through them forth and back
+ROUNDS = 2
+JPEG_QUALITY = 95
+PERIOD_NS = 33_333_333
+LSD_FRAMES = 10
+
+SinkKind = Literal["none", "rerun", "mcap"]
+Figures = dict[str, Any]
+RUNS: dict[str, tuple[SinkKind, bool]] = {
+    "fps_serial": ("none", True),
+    "fps": ("none", False),
+    "fps_rerun_serial": ("rerun", True),
+    "fps_rerun": ("rerun", False),
+    "fps_mcap": ("mcap", False),
+}
+
+
+@dataclass(frozen=True)
+class ClipSource:
+    """A `Source` that decodes a short clip, forth and back until there are `frame_count` frames.
+
+    Attributes:
+        files: the clip's frames as JPEG files, each with one px size for all.
+        frame_count: how many frames iteration yields.
+    """
+
+    files: Sequence[bytes]
+    frame_count: int
+    name: str = "bench"
+    skipped: int = 0
+
+    def __iter__(self) -> Iterator[Frame]:
+        from frontend.opencv import decode_image
+
+        period = max(2 * len(self.files) - 2, 1)
+        for index in range(self.frame_count):
+            place = index % period
+            image = decode_image(self.files[min(place, period - place)])
+            assert image is not None
+            yield Frame(index, index * PERIOD_NS, image)
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def build_parser() -> Parser:
+    """All arguments."""
+    parser = Parser(
+        prog="python -m frontend.bench",
+        description="Frames per second and peak memory of the whole pipeline, with and without sinks.",
+    )
+    parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
+    parser.add_argument("--size", nargs="+", default=SIZES, metavar="WxH", help=f"sizes (default: {' '.join(SIZES)})")
+    parser.add_argument("--preset", choices=["default", "fast", "paper"], default="default")
+    parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
+    parser.add_argument("--frames", type=int, default=150, metavar="N", help="per run (default: %(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    return exit_code(run, build_parser().parse_args(arguments))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure, print the table and write the JSON.
+
+    Raises:
+        AirLineError: an argument or the input cannot be used.
+    """
+    if options.frames < 2:
+        raise ConfigError("--frames must be 2 or more")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
+    from rich.console import Console
+
+    from frontend.settings import load
+
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as frontend.run does; the processes inherit it
+    config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": CLIP_FRAMES}})
+    clips = load_clips(options.input, options.size, config)
+    sizes: dict[str, Figures] = {}
+    with progress("runs", len(clips) * ROUNDS * len(RUNS)) as advance:
+        for size, files in clips.items():
+            sizes[size] = measure(ClipSource(files, options.frames), config, advance)
+    Console().print(table(sizes))
+    about = {"preset": options.preset, "runtime": options.runtime, "frames": options.frames, "cores": os.cpu_count()}
+    write_json(options.json, {**about, "sizes": sizes})
+
+
+def load_clips(spec: str | None, sizes: Sequence[str], config: RunConfig) -> dict[str, list[bytes]]:
+    """JPEG files of the first frames of an input in every size.
+
+    Raises:
+        AirLineError: the input cannot be used, or a size is none.
+    """
+    import cv2
+
+    from airline.image import to_uint8
+    from frontend.run import open_input
+
+    shapes = {size: _width_height(size) for size in sizes}
+    clips: dict[str, list[bytes]] = {size: [] for size in sizes}
+    with closing(open_input(spec, config)) as source, progress(source.name, source.frame_count) as advance:
+        for frame in source:
+            image = to_uint8(frame.image)
+            for size, (width, height) in shapes.items():
+                method = cv2.INTER_AREA if width <= image.shape[1] else cv2.INTER_CUBIC
+                resized = cv2.resize(image, (width, height), interpolation=method)
+                clips[size].append(cv2.imencode(".jpg", resized, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+            advance()
+    if not all(clips.values()):
+        raise InputError(f"{source.name} yields no frame: give another input")
+    return clips
+
+
+def measure(clip: ClipSource, config: RunConfig, advance: Any) -> Figures:
+    """All figures of one size: medians over rounds in which the runs take turns; of memory, the most."""
+    found: dict[str, list[Figures]] = {name: [] for name in RUNS}
+    lsd_ms: list[float] = []
+    for _ in range(ROUNDS):
+        for name, (sink, serial) in RUNS.items():
+            spawn = multiprocessing.get_context("spawn")
+            with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+                found[name].append(pool.submit(one_run, clip, config, sink, serial).result())
+            lsd_ms += time_lsd(clip)
+            advance()
+    figures: Figures = {name: _median([run["fps"] for run in runs]) for name, runs in found.items()}
+    plain = found["fps"]
+    return {
+        **figures,
+        "peak_mb": max(run["peak_mb"] for run in plain),
+        "peak_mb_rerun": max(run["peak_mb"] for run in found["fps_rerun"]),
+        "latency_ms": _median([run["latency_ms"] for run in plain]),
+        "lines": plain[0]["lines_per_frame"],
+        "stage_ms": {
+            stage: _median([run["stage_ms"][stage] for run in found["fps_serial"]]) for stage in plain[0]["stage_ms"]
+        },
+        "lsd_ms": _median(lsd_ms),
+    }
+
+
+def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -> Figures:
+    """The summary of one run of `frontend.run`, and its peak memory in MB over that before, with torch imported."""
+    import msgspec
+    import torch  # noqa: F401  what the memory is counted from
+
+    from frontend.run import open_recording, process
+    from logs.sinks.open import open_track_sink
+
+    config = msgspec.structs.replace(config, serial=serial)
+    with tempfile.TemporaryDirectory() as folder:
+
+        def open_sinks() -> Iterator[Sink]:
+            if kind == "rerun":
+                yield open_recording(Path(folder) / "run.rrd", None, clip.name, config)
+            elif kind == "mcap":
+                yield open_track_sink(f"{folder}/run.mcap")
+
+        before = _memory_mb("VmRSS")
+        _, summary = process(clip, config, open_sinks)
+        return {**summary.to_dict(), "peak_mb": round(_memory_mb("VmHWM") - before, 1)}
+
+
+def time_lsd(clip: ClipSource) -> list[float]:
+    """Milliseconds that OpenCV's LSD takes for frames all over the clip."""
+    import cv2
+
+    detector = cv2.createLineSegmentDetector()
+    spent = []
+    for file in clip.files[:: max(1, len(clip.files) // LSD_FRAMES)]:
+        gray = _gray(file)
+        started = time.perf_counter()
+        detector.detect(gray)
+        spent.append(1e3 * (time.perf_counter() - started))
+    return spent
+
+
+def table(sizes: dict[str, Figures]) -> Table:
+    """One column per size."""
+    from rich.table import Table
+
+    rows = {
+        "frames/s in series": "fps_serial",
+        "frames/s": "fps",
+        "frames/s into Rerun, in series": "fps_rerun_serial",
+        "frames/s into Rerun": "fps_rerun",
+        "frames/s into MCAP": "fps_mcap",
+        "latency, ms": "latency_ms",
+        "peak MB over torch": "peak_mb",
+        "peak MB over torch, with Rerun": "peak_mb_rerun",
+        "lines": "lines",
+        "OpenCV LSD, ms": "lsd_ms",
+    }
+    shown = Table("", *sizes)
+    for title, key in rows.items():
+        shown.add_row(title, *(f"{figures[key]:.1f}" for figures in sizes.values()))
+    stages = [stage for figures in sizes.values() for stage in figures["stage_ms"]]
+    for stage in dict.fromkeys(stages):
+        shown.add_row(f"{stage}, ms in series", *(f"{figures['stage_ms'][stage]:.2f}" for figures in sizes.values()))
+    return shown
+
+
+def _width_height(size: str) -> tuple[int, int]:
+    width, _, height = size.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
+        raise ConfigError(f"'{size}' is no size: give WIDTHxHEIGHT of 16 px and more, such as 640x480")
+    return int(width), int(height)
+
+
+def _gray(file: bytes) -> Any:
+    import cv2
+    import numpy as np
+
+    return cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_GRAYSCALE)
+
+
+def _memory_mb(field: str) -> float:
+    """Of this process: VmRSS is what it has now, VmHWM the most it had. NaN where the system does not say."""
+    status = Path("/proc/self/status")  # getrusage would count the parent's memory before exec
+    if not status.exists():
+        return float("nan")
+    lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
+    return int(lines[field].split()[0]) / 1024
+
+
+def _median(values: list[float]) -> float:
+    return round(statistics.median(values), 3)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

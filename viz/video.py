@@ -1,0 +1,101 @@
+"""The camera's image as a reference into the video file it came from, which the recording carries once."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from frontend.frame import Frame
+
+CODECS = ("h264", "hevc", "av1")  # what Rerun plays out of mp4
+OTHERWISE = "use --log-image jpeg"
+
+
+class VideoReferences:
+    """Logs which picture of a video file a frame is.
+
+    Args:
+        path: the file that the frames are read from; they must come as they are in it.
+
+    Raises:
+        ConfigError: Rerun cannot play the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        codec, self._size = _codec_and_size(path)
+        asset, stamps = _asset(path)
+        if stamps is None:
+            asset, stamps = _asset(path, _remuxed(path, codec))
+        if stamps is None or not len(stamps):
+            raise ConfigError(f"Rerun cannot play {path}: {OTHERWISE}")
+        self._asset, self._stamps = asset, np.sort(stamps)
+
+    def start(self, stream: rr.RecordingStream) -> None:
+        """Log the file itself, as static data."""
+        stream.log("/camera/image", self._asset, static=True)
+
+    def log(self, stream: rr.RecordingStream, frame: Frame) -> None:
+        """Refer to the picture whose presentation time is nearest to the frame's.
+
+        Raises:
+            ConfigError: the frame has another size than the video.
+        """
+        if (frame.image.shape[1], frame.image.shape[0]) != self._size:
+            raise ConfigError(f"{self._path} cannot stand for frames of another size: {OTHERWISE}")
+        stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=self.nearest(frame.stamp_ns)))
+
+    def nearest(self, stamp_ns: int) -> int:
+        """Presentation time, ns, of the picture nearest to a time since the first picture."""
+        wanted = self._stamps[0] + stamp_ns
+        k = int(np.searchsorted(self._stamps, wanted))
+        near = self._stamps[max(k - 1, 0) : k + 1]
+        return int(near[np.argmin(np.abs(near - wanted))])
+
+
+def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:
+    import av
+
+    if not path.is_file():
+        raise ConfigError(f"--log-image video needs a video file as its input, not {path}: {OTHERWISE}")
+    try:
+        with av.open(str(path)) as container:
+            video = container.streams.video[0].codec_context
+            codec, size = video.codec.canonical_name, (video.width, video.height)
+    except (av.FFmpegError, OSError, IndexError) as reason:
+        raise ConfigError(f"{path} is no video that Rerun can play ({reason}): {OTHERWISE}") from None
+    if codec not in CODECS:
+        raise ConfigError(f"Rerun plays {', '.join(CODECS)}, and {path} is {codec}: {OTHERWISE}")
+    return codec, size
+
+
+def _asset(path: Path, contents: bytes | None = None) -> tuple[rr.AssetVideo, NDArray[np.int64] | None]:
+    """The file, or other contents instead of it, and the times of its pictures, ns; None if Rerun cannot read it."""
+    data = path.read_bytes() if contents is None else contents
+    asset = rr.AssetVideo(contents=data, media_type="video/mp4")
+    try:
+        return asset, asset.read_frame_timestamps_nanos()
+    except RuntimeError:
+        return asset, None
+
+
+def _remuxed(path: Path, codec: str) -> bytes:
+    """The same pictures in a fresh .mp4: from another container, or with headers that Rerun's parser trips over."""
+    import av
+    from av.bitstream import BitStreamFilterContext
+
+    file = io.BytesIO()
+    with av.open(str(path)) as source, av.open(file, "w", format="mp4") as target:
+        read = source.streams.video[0]
+        written = target.add_stream_from_template(read)
+        headers = BitStreamFilterContext(f"{codec}_metadata", read, written)
+        for packet in source.demux(read):
+            for clean in headers.filter(packet):
+                clean.stream = written
+                target.mux(clean)
+    return file.getvalue()
