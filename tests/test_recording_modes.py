@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -261,33 +260,6 @@ def test_warnings_of_our_packages_are_in_the_log_at_their_frame(tmp_path):
     assert log["TextLog:text"] == [["before the first frame"], ["frame 1 is damaged"]]
     assert log["TextLog:level"] == [["WARN"], ["ERROR"]]
     assert log["frame"] == [0, 1]
-
-
-def write_noise(sink: RerunSink, seconds: float) -> None:
-    """Frames that do not compress."""
-    noise = np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        (result,) = frame_results(1)
-        sink.write(dataclasses.replace(result, frame=dataclasses.replace(result.frame, image=noise)))
-        time.sleep(0.1)
-
-
-def test_a_full_disk_is_said(tmp_path):
-    """A limit on the size of files stands for it."""
-    import resource
-
-    sink = RerunSink(save=tmp_path / "run.rrd", image="raw")
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, old[1]))
-    try:
-        with pytest.raises(InputError, match="cannot write more of the recording"):
-            write_noise(sink, 20)
-        with pytest.raises(InputError, match="cannot write more"):
-            sink.close()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
-    sink.close()
 
 
 def test_recordings_of_the_clip_keep_to_their_size(tmp_path):

@@ -96,7 +96,7 @@ class Destination:
     def _abandon(self) -> None:
         """What nobody has closed must not keep the interpreter from ending."""
         self._stop.set()
-        self._beat.join()
+        self._beat.join(BEHIND_S)
         if self._relay is not None:
             self._relay.cut()
 
