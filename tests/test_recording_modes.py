@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -260,6 +261,19 @@ def test_warnings_of_our_packages_are_in_the_log_at_their_frame(tmp_path):
     assert log["TextLog:text"] == [["before the first frame"], ["frame 1 is damaged"]]
     assert log["TextLog:level"] == [["WARN"], ["ERROR"]]
     assert log["frame"] == [0, 1]
+
+
+def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr("viz.destination.SPARE", 2**60)
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    first, second = frame_results(2)
+    sink.write(first)
+    time.sleep(1.5)  # the disk is looked at every second
+    with pytest.raises(InputError, match=r"cannot write more of the recording .*MB are free\): is the disk full"):
+        sink.write(second)
+    with pytest.raises(InputError, match="is the disk full"):
+        sink.close()
+    assert recorded(tmp_path / "run.rrd")["/camera/tracks"]["frame"][0] == first.frame.index
 
 
 def test_recordings_of_the_clip_keep_to_their_size(tmp_path):

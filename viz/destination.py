@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import shutil
 import threading
 import time
 from pathlib import Path
@@ -18,6 +19,7 @@ from viz.viewer import PORT
 BEAT_S = 1.0  # how often data is pushed out: what a killed run loses at most, and what a stuck viewer may hold
 STUCK_S = 2.0  # a viewer that takes nothing for so long is given up
 BEHIND_S = 10.0  # as is one that is so far behind
+SPARE = 50_000_000  # bytes of a disk that are left free: Rerun may wait forever for a writer that a full disk has ended
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +104,12 @@ class Destination:
 
     def _push_out(self) -> None:
         while not self._stop.wait(BEAT_S):
+            self._check_space()
             self._flush()
+
+    def _check_space(self) -> None:
+        if self._save is not None and shutil.disk_usage(self._save.absolute().parent).free < SPARE:
+            self._file_error = f"less than {SPARE / 1e6:.0f} MB are free"
 
     def _flush(self) -> None:
         """Wait until everything logged so far has arrived, or until there is no hope of that."""
