@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import pty
 import re
@@ -68,9 +69,9 @@ def test_ctrl_c_keeps_a_checkpoint_and_the_same_command_ends_with_the_same_weigh
 
     def write_and_interrupt(*given: object) -> None:
         write_sheet(*given)
-        signal.raise_signal(signal.SIGINT)
+        _thread.interrupt_main()
 
-    with monkeypatch.context() as patched:  # a real signal, at a moment that we can choose
+    with monkeypatch.context() as patched:  # what a signal does, at a moment that we can choose
         patched.setattr(Validation, "write_sheet", write_and_interrupt)
         assert main(command) == 130
     assert re.search(r"stopped at step 1: the same command goes on from .*net\.checkpoint", caplog.text)
