@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from airline.command import Parser
-from airline.evaluation.command import add_dataset, exit_code, open_dataset, track, write_json
+from airline.command import Parser, exit_code, write_json
+from airline.evaluation.command import add_dataset, open_dataset, track
 
 LEGEND = """\
 Every row is the default with what the row names exchanged, in good light.

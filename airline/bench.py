@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import argparse
 import os
 import sys
 import time
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.command import EXIT_USER_ERROR, Parser
-from airline.errors import AirLineError, ConfigError, InputError
+from airline.command import Parser, exit_code, write_json
+from airline.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from airline.detector import AirLine
@@ -39,26 +39,24 @@ def build_parser() -> Parser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
-    options = build_parser().parse_args(arguments)
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    try:
-        if options.rounds < 1:
-            raise ConfigError("--rounds must be 1 or more")
-        _limit_cores(options.threads)
-        from airline.detector import AirLine  # libraries count the cores when they load
+    """Command line; returns the exit code."""
+    return exit_code(run, build_parser().parse_args(arguments))
 
-        pictures = load_pictures(options.images, options.size)
-        detector = AirLine(options.preset, runtime=options.runtime)
-        figures = measure(detector, pictures, options.rounds)
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
+
+def run(options: argparse.Namespace) -> None:
+    """Measure, print the table and write the JSON; raises AirLineError."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    if options.rounds < 1:
+        raise ConfigError("--rounds must be 1 or more")
+    _limit_cores(options.threads)
+    from airline.detector import AirLine  # libraries count the cores when they load
+
+    pictures = load_pictures(options.images, options.size)
+    detector = AirLine(options.preset, runtime=options.runtime)
+    figures = measure(detector, pictures, options.rounds)
     figures = {"preset": options.preset, "runtime": _name(detector), "size": options.size, **figures}
     print(as_text(figures))
-    if options.json is not None:
-        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    return 0
+    write_json(options.json, figures)
 
 
 def load_pictures(paths: Sequence[Path], size: str) -> list[NDArray[np.uint8]]:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import sys
-from typing import NoReturn
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from airline.errors import AirLineError
 
 EXIT_USER_ERROR = 2
 
@@ -24,3 +29,19 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
         print(self.format(record), file=sys.stderr)
+
+
+def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Namespace) -> int:
+    """Run a command; 2 after printing an error that the user can mend, else 0."""
+    try:
+        run(options)
+    except AirLineError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    return 0
+
+
+def write_json(path: Path | None, figures: dict[str, Any]) -> None:
+    """Write the figures, where that was asked for."""
+    if path is not None:
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import Parser
-from airline.evaluation.command import add_dataset, exit_code, open_dataset, track, write_json
+from airline.command import Parser, exit_code, write_json
+from airline.evaluation.command import add_dataset, open_dataset, track
 
 if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import numpy as np
 
-from airline.command import Parser
+from airline.command import Parser, exit_code
 from airline.errors import ConfigError, InputError
-from airline.evaluation.command import exit_code
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from airline.command import Parser
+from airline.command import Parser, exit_code, write_json
 from airline.errors import ConfigError, InputError
-from airline.evaluation.command import exit_code, write_json
 from frontend.frame import Frame
 from frontend.terminal import progress
 

@@ -12,9 +12,8 @@ from collections.abc import Sized
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import Parser
+from airline.command import Parser, exit_code, write_json
 from airline.errors import InputError
-from airline.evaluation.command import exit_code, write_json
 from frontend.terminal import progress
 
 if TYPE_CHECKING:

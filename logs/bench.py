@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 import sys
 import tempfile
@@ -16,7 +15,7 @@ import cv2
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from airline.command import Parser
+from airline.command import Parser, write_json
 from frontend.opencv import Image
 from frontend.sources.scene import SceneSource
 from logs import McapImageSource
@@ -143,8 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
             write_log(path, images, options.frames, jpeg, compression)
             results[name] = measure(path, options.frames)
     print(as_text(results))
-    if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    write_json(options.json, results)
     return 0
 
 

@@ -15,8 +15,8 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Header
 
-from airline.command import EXIT_USER_ERROR, Parser
-from airline.errors import AirLineError, InputError
+from airline.command import Parser, exit_code
+from airline.errors import InputError
 from logs.files.mcap_chunks import DamageError
 from logs.files.mcap_index import listed_messages, read_summary
 from logs.files.mcap_records import MAGIC, Definitions, RecordFile, parse
@@ -56,12 +56,7 @@ def build_parser() -> Parser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    try:
-        run(build_parser().parse_args(arguments))
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
-    return 0
+    return exit_code(run, build_parser().parse_args(arguments))
 
 
 def run(options: argparse.Namespace) -> None:

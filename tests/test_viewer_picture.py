@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -14,21 +10,10 @@ import pytest
 
 from frontend.colours import track_colours
 from tests.moving_rectangle import frame_results
+from tests.viewer import needs_viewer, snapshot
 from viz.rerun_sink import RerunSink
 
 FRAMES = 10
-
-
-def have_vulkan() -> bool:
-    """Whether a Vulkan loader and at least one driver are installed."""
-    folders = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"), Path("/usr/local/share/vulkan/icd.d"))
-    return ctypes.util.find_library("vulkan") is not None and any(any(f.glob("*.json")) for f in folders)
-
-
-needs_viewer = pytest.mark.skipif(
-    not have_vulkan() or not (Path(sys.executable).parent / "rerun").exists(),
-    reason="needs the Rerun viewer and a Vulkan driver (Debian: mesa-vulkan-drivers libvulkan1)",
-)
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +24,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         sink.write(result)
     sink.close()
     return path
-
-
-def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "viz.snapshot", *map(str, arguments)],
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=90,
-    )
 
 
 @needs_viewer

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
+from airline.errors import AirLineError, ConfigError
 from airline.image import to_uint8
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
@@ -96,7 +96,7 @@ class RerunSink:
         self._log_lines = LogLines(self.log)
         try:
             self._destination = Destination(self._stream, save, connect)
-        except Exception:
+        except AirLineError:
             self._log_lines.close()
             raise
         if not self._destination.alive:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from airline.command import EXIT_USER_ERROR
-from airline.errors import AirLineError, InputError
+from airline.errors import InputError
 
 if TYPE_CHECKING:
     from airline.evaluation.dataset import Sample
@@ -21,16 +18,6 @@ def add_dataset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
     parser.add_argument("--limit", type=int, metavar="N", help="use only the first N images")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
-
-
-def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Namespace) -> int:
-    """Run a command; 2 after printing an error that the user can mend, else 0."""
-    try:
-        run(options)
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
-    return 0
 
 
 def open_dataset(options: argparse.Namespace) -> list[Sample]:
@@ -55,9 +42,3 @@ def track(samples: list[Sample]) -> Iterable[Sample]:
 
     errors = Console(stderr=True)
     return track(samples, "images", console=errors, transient=True, disable=not errors.is_terminal)
-
-
-def write_json(path: Path | None, figures: dict[str, Any]) -> None:
-    """Write the figures, where that was asked for."""
-    if path is not None:
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
