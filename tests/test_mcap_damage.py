@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import random
 import struct
 import time
@@ -13,20 +14,24 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from mcap.records import DataEnd, Schema
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from airline.errors import InputError
 from logs.files.mcap_chunks import CHUNK_LIMIT
 from logs.files.mcap_file import McapFile
 from tests.mcap_logs import (
+    CHANNELS,
     MAGIC,
     chunk_bytes,
     chunked,
     messages,
     on_topic,
     read,
+    record_bytes,
     write,
     write_chunks,
 )
@@ -254,6 +259,19 @@ def test_messages_of_unknown_channels(tmp_path: Path, open_log: Open) -> None:
     assert log.lost["damaged chunk"] == 1
 
 
+def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> None:
+    """The schema that a channel names is gone, so that nobody knows what its messages are."""
+    path = write(tmp_path / "a.mcap", SENT[:12], use_chunking=False)
+    records = list(StreamReader(io.BytesIO(path.read_bytes())).records)
+    end = next(place for place, record in enumerate(records) if isinstance(record, DataEnd))
+    kept = [record for record in records[:end] if not (isinstance(record, Schema) and record.name == CHANNELS[1][2])]
+    path.write_bytes(MAGIC + b"".join(map(record_bytes, kept)))
+    log = open_log(path)
+    assert log.lost["messages of unknown channels"] == sum(message.channel == 1 for message in SENT[:12])
+    assert read(log, "/camera") == [row for row in on_topic(SENT[:12], "/camera") if row[2] != CHANNELS[1][2]]
+    assert read(log, "/imu") == on_topic(SENT[:12], "/imu")
+
+
 @given(
     changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=0, max_size=12)), max_size=4),
     removed=st.tuples(st.floats(0, 1), st.integers(0, 300)),
@@ -261,6 +279,7 @@ def test_messages_of_unknown_channels(tmp_path: Path, open_log: Open) -> None:
     kind=st.sampled_from(["crc", "no crc", "unchunked"]),
     topic=st.sampled_from(["/camera", "/imu"]),
 )
+@example(changes=[], removed=(0.0, 139), compression=CompressionType.NONE, kind="crc", topic="/camera")
 @settings(max_examples=500, deadline=2000, suppress_health_check=[HealthCheck.too_slow])
 def test_mutations(
     tmp_path_factory: pytest.TempPathFactory,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import signal
 import subprocess
 import sys
 import threading
@@ -178,6 +179,15 @@ def test_a_stage_may_not_end_the_stream() -> None:
         list(pipelined(iter([1, 2, 3]), lambda item: next(iter([]))))
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """SIGINT raises KeyboardInterrupt, also where it was ignored by the parent, as shells do in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_of_the_consumer_ends_soon() -> None:
     results = pipelined(count(), slow_identity, slow_identity)
     assert next(results) == 0

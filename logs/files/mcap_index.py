@@ -173,10 +173,8 @@ def _sound(definitions: Definitions, statistics: Statistics | None, entries: lis
         listed = set(counts)
     elif not complete or not entries:
         return None
-    for channel_id in listed:
-        channel = definitions.channels.get(channel_id)
-        if channel is None or (channel.schema_id and channel.schema_id not in definitions.schemas):
-            return None
+    if not all(definitions.defines(channel) for channel in listed):
+        return None
     return Index(entries, definitions, counts, frozenset(listed))
 
 
@@ -232,8 +230,7 @@ class _Builder:
     def index(self, finished: bool) -> Index:
         """The index of all that was added."""
         self._finish_entry()
-        channels = self._definitions.channels
-        known = {channel: count for channel, count in self._counts.items() if channel in channels}
+        known = {channel: count for channel, count in self._counts.items() if self._definitions.defines(channel)}
         unknown = self._counts.total() - sum(known.values())
         if unknown:
             self._lost["messages of unknown channels"] += unknown

@@ -164,3 +164,8 @@ class Definitions:
         self._bytes += len(body) if channel.id not in self.channels else 0
         fits = self._bytes <= _DEFINITIONS_LIMIT
         return channel if fits and self.channels.setdefault(channel.id, channel) == channel else None
+
+    def defines(self, channel_id: int) -> bool:
+        """Whether a channel is known, and with it the schema that it names."""
+        channel = self.channels.get(channel_id)
+        return channel is not None and (not channel.schema_id or channel.schema_id in self.schemas)
