@@ -15,7 +15,7 @@ from airline.lines import LineSet
 from airline.moments import fit_regions, residuals
 from airline.pixels import EdgePixels
 from airline.reach import reach
-from airline.score import line_scores
+from airline.score import line_score, line_scores
 
 
 class LineFitter(Protocol):
@@ -80,20 +80,11 @@ class TotalLeastSquaresFitter:
         parts, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation)
         merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
         reach(moments, merged, edge.support, self.max_reach)
-        scores = line_scores(edge.support, moments[:, 6:])
-        chosen, lines_of = _choose(moments, merged, scores, self.min_length, np.float32(self.min_score))
-        # rows no part covers point at the last element, which is -1
-        labels = np.append(lines_of, np.int32(-1))[parts]
-        segments = moments[chosen, 6:].reshape(-1, 2, 2).astype(np.float32)
-        return (
-            LineSet(
-                segments,
-                scores[chosen],
-                _mean_descriptors(labels, descriptors, len(segments)),
-                residuals(moments[chosen]).astype(np.float32),
-            ),
-            labels,
-        )
+        chosen, scores, lines_of = _choose(moments, merged, edge.support, self.min_length, np.float32(self.min_score))
+        labels, means = _vote(parts, lines_of, descriptors, len(chosen))
+        moments = moments[chosen]
+        segments = moments[:, 6:].reshape(-1, 2, 2).astype(np.float32)
+        return LineSet(segments, scores, means, residuals(moments).astype(np.float32)), labels
 
 
 @dataclass(frozen=True)
@@ -111,42 +102,66 @@ class PaperFitter:
         order, offsets = group(regions)
         segments = _paper_fit(edge.positions, order, offsets)
         scores = line_scores(edge.support, segments.reshape(-1, 4))
-        return LineSet(segments, scores, _mean_descriptors(regions, descriptors, len(segments))), regions
-
-
-def group(labels: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows sorted by label, and where each label's rows begin: label k owns `order[offsets[k]:offsets[k + 1]]`."""
-    order = np.argsort(labels, kind="stable")
-    last = int(labels.max(initial=-1))
-    return order, np.searchsorted(labels[order], np.arange(last + 2))
-
-
-def _mean_descriptors(labels: NDArray[np.int32], descriptors: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """(count, C) unit rows: the mean descriptor of each line's pixels."""
-    mean = np.zeros((count, descriptors.shape[1]), np.float32)
-    _accumulate(labels, descriptors, mean)
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    return mean
+        numbers = np.arange(len(segments), dtype=np.int32)
+        return LineSet(segments, scores, _vote(regions, numbers, descriptors, len(segments))[1]), regions
 
 
 @njit(cache=True, nogil=True)
-def _accumulate(labels, descriptors, total):  # type: ignore[no-untyped-def]
-    for k in range(len(labels)):
-        if labels[k] >= 0:
+def group(labels):  # type: ignore[no-untyped-def]
+    """Rows sorted by label, and where each label's rows begin: label k owns `order[offsets[k]:offsets[k + 1]]`.
+
+    Rows of label -1 come first; all keep their order.
+    """
+    last = -1
+    for label in labels:
+        last = max(last, label)
+    offsets = np.zeros(last + 3, np.int64)
+    for label in labels:
+        offsets[label + 2] += 1
+    for k in range(1, last + 3):
+        offsets[k] += offsets[k - 1]
+    order = np.empty(len(labels), np.int64)
+    following = offsets.copy()
+    for row in range(len(labels)):
+        place = labels[row] + 1
+        order[following[place]] = row
+        following[place] += 1
+    return order, offsets[1:].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _vote(parts, lines_of, descriptors, count):  # type: ignore[no-untyped-def]
+    """Line of each pixel by its part, -1 for none; and (count, C) unit rows, mean descriptor of each line's pixels."""
+    labels = np.full(len(parts), -1, np.int32)
+    means = np.zeros((count, descriptors.shape[1]), np.float32)
+    for k in range(len(parts)):
+        line = lines_of[parts[k]] if parts[k] >= 0 else -1
+        if line >= 0:
+            labels[k] = line
             for c in range(descriptors.shape[1]):
-                total[labels[k], c] += descriptors[k, c]
+                means[line, c] += descriptors[k, c]
+    for line in range(count):
+        squared = np.float32(0)
+        for c in range(descriptors.shape[1]):
+            squared += means[line, c] * means[line, c]
+        means[line] /= max(np.sqrt(squared), np.float32(1e-12))
+    return labels, means
 
 
 @njit(cache=True, nogil=True)
-def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
-    """The surviving parts that are long and sure enough, and the line number of each part (-1: none)."""
+def _choose(moments, owner, support, min_length, min_score):  # type: ignore[no-untyped-def]
+    """The surviving parts that are long and sure enough, their scores, and the line number of each part (-1: none)."""
     count = len(moments)
     numbers = np.full(count, -1, np.int32)
     chosen = np.empty(count, np.int64)
+    scores = np.empty(count, np.float32)
     lines = 0
     for i in range(count):
-        length = np.hypot(moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7])
-        if owner[i] == i and length >= min_length and scores[i] >= min_score:
+        x0, y0, x1, y1 = moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9]
+        if owner[i] != i or np.hypot(x1 - x0, y1 - y0) < min_length:
+            continue
+        scores[lines] = line_score(support, x0, y0, x1, y1)
+        if scores[lines] >= min_score:
             numbers[i] = lines
             chosen[lines] = i
             lines += 1
@@ -155,7 +170,7 @@ def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-u
         while owner[root] != root:
             root = owner[root]
         numbers[i] = numbers[root]
-    return chosen[:lines].copy(), numbers
+    return chosen[:lines].copy(), scores[:lines].copy(), numbers
 
 
 @njit(cache=True, nogil=True)

@@ -45,54 +45,75 @@ class RegionGrower:
             (M,) int32 region numbers from 0 in raster order of their seeds, -1 for pixels in no region.
         """
         labels: NDArray[np.int32] = _grow(
-            edge.index,
+            edge.support.shape,
             edge.pixels,
             edge.weights,
             descriptors,
             np.float32(self.seed_threshold),
             self.similarity,
             self.min_pixels,
+            tuple(range(descriptors.shape[1])),
         )
         return labels
 
 
-@njit(cache=True, nogil=True)
-def _grow(index, pixels, weights, descriptors, seed_threshold, similarity, min_pixels):  # type: ignore[no-untyped-def]
-    height, width = index.shape
-    count, channels = descriptors.shape
+ONE, TWO = np.uint64(1), np.uint64(2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
+    """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
+    height, width = shape
+    count = len(pixels)
     labels = np.full(count, -1, np.int32)
-    used = np.zeros(count, np.bool_)
+    # with a margin, so that every pixel has eight neighbours
+    stride = width + 2
+    free = np.zeros((height + 2) * stride, np.uint8)
+    index = np.empty((height + 2) * stride, np.int32)  # set where `free` was once
+    places = np.empty(count, np.int64)
+    for k in range(count):
+        place = np.uint64((pixels[k, 1] + 1) * stride + pixels[k, 0] + 1)
+        free[place] = 1
+        index[place] = k
+        places[k] = place
     queue = np.empty(count, np.int32)
-    total = np.zeros(channels)
+    total = np.zeros(len(channels))
     region = 0
     for seed in range(count):
-        if used[seed] or weights[seed] < seed_threshold:
+        if not free[places[seed]] or weights[seed] < seed_threshold:
             continue
-        used[seed] = True
+        free[places[seed]] = 0
         queue[0] = seed
         head, tail = 0, 1
-        for c in range(channels):
+        squared = 0.0
+        for c in range(len(channels)):
             total[c] = descriptors[seed, c]
+            squared += total[c] * total[c]
+        least = similarity * np.sqrt(squared)
         while head < tail:
-            x, y = pixels[queue[head], 0], pixels[queue[head], 1]
+            here = places[queue[head]]
             head += 1
-            for dy in range(-1, 2):
-                for dx in range(-1, 2):
-                    if not (0 <= y + dy < height and 0 <= x + dx < width):
+            for row in (here - stride, here, here + stride):
+                place = np.uint64(row - 1)
+                if not free[place] | free[place + ONE] | free[place + TWO]:
+                    continue
+                for column in range(3):
+                    place = np.uint64(row - 1 + column)
+                    if not free[place]:
                         continue
-                    p = index[y + dy, x + dx]
-                    if p < 0 or used[p]:
-                        continue
-                    dot, squared = 0.0, 0.0
-                    for c in range(channels):
+                    p = index[place]
+                    dot = 0.0
+                    for c in range(len(channels)):
                         dot += descriptors[p, c] * total[c]
-                        squared += total[c] * total[c]
-                    if dot >= similarity * np.sqrt(squared):
-                        used[p] = True
+                    if dot >= least:
+                        free[place] = 0
                         queue[tail] = p
                         tail += 1
-                        for c in range(channels):
+                        squared = 0.0
+                        for c in range(len(channels)):
                             total[c] += descriptors[p, c]
+                            squared += total[c] * total[c]
+                        least = similarity * np.sqrt(squared)
         if tail >= min_pixels:
             for k in range(tail):
                 labels[queue[k]] = region

@@ -26,54 +26,58 @@ def join(moments, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     for end in range(2 * count):
         following[end] = first[cells[end, 1], cells[end, 0]]
         first[cells[end, 1], cells[end, 0]] = end
+    axes = np.empty((count, 4))  # centre and direction of each part
+    for i in range(count):
+        axes[i] = principal(moments[i])
     lengths = np.hypot(ends[1::2, 0] - ends[::2, 0], ends[1::2, 1] - ends[::2, 1])
     for i in np.argsort(-lengths, kind="mergesort"):
         grown = owner[i] == i
         while grown:
             grown = False
             for side in range(2):
-                partner = _partner(moments, owner, ends, first, following, i, side, max_gap, max_offset, min_cos)
+                partner = _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos)
                 if partner >= 0:
                     owner[partner] = i
                     moments[i, :6] += moments[partner, :6]
-                    _extend(moments, i, partner)
+                    axes[i] = principal(moments[i])
+                    _extend(moments, axes, i, partner)
                     grown = True
                     break
     return owner
 
 
 @njit(cache=True, nogil=True)
-def _partner(moments, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     """The nearest collinear part beyond one end of part i, or -1."""
-    mx, my, ux, uy = principal(moments[i])
+    mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
     ex, ey = moments[i, 6 + 2 * side], moments[i, 7 + 2 * side]
     if (ex - mx) * ux + (ey - my) * uy < 0:  # let (ux, uy) point outwards
         ux, uy = -ux, -uy
     rows, columns = first.shape
-    best, best_gap = -1, max_gap
+    best, best_squared = -1, max_gap * max_gap
     for cy in range(int(max(ey - max_gap, 0) / CELL), min(rows - 1, int(max(ey + max_gap, 0) / CELL)) + 1):
         for cx in range(int(max(ex - max_gap, 0) / CELL), min(columns - 1, int(max(ex + max_gap, 0) / CELL)) + 1):
             end = first[cy, cx]
             while end >= 0:
                 j, x, y = end // 2, ends[end, 0], ends[end, 1]
                 end = following[end]
-                gap = np.hypot(x - ex, y - ey)
-                if gap >= best_gap or j == i or owner[j] != j or (x - ex) * ux + (y - ey) * uy < -1:
+                squared = (x - ex) * (x - ex) + (y - ey) * (y - ey)
+                if squared >= best_squared or j == i or owner[j] != j or (x - ex) * ux + (y - ey) * uy < -1:
                     continue
-                nx, ny, vx, vy = principal(moments[j])
+                nx, ny, vx, vy = axes[j, 0], axes[j, 1], axes[j, 2], axes[j, 3]
                 if abs(ux * vx + uy * vy) < min_cos or (nx - ex) * ux + (ny - ey) * uy < 0:
                     continue
                 # its end must lie on our axis, and our end on its axis
                 ours, theirs = abs((x - mx) * uy - (y - my) * ux), abs((ex - nx) * vy - (ey - ny) * vx)
                 if ours <= max_offset and theirs <= max_offset:
-                    best, best_gap = j, gap
+                    best, best_squared = j, squared
     return best
 
 
 @njit(cache=True, nogil=True)
-def _extend(moments, i, j):  # type: ignore[no-untyped-def]
+def _extend(moments, axes, i, j):  # type: ignore[no-untyped-def]
     """Set the end points of part i to the outermost projections of both parts' end points on the joint line."""
-    mx, my, ux, uy = principal(moments[i])
+    mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
     low, high = 1e30, -1e30
     for part in (i, j):
         for end in range(2):

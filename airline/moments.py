@@ -17,8 +17,15 @@ def principal(moments):  # type: ignore[no-untyped-def]
     weight = moments[0]
     mx, my = moments[1] / weight, moments[2] / weight
     xx, xy, yy = moments[3] / weight - mx * mx, moments[4] / weight - mx * my, moments[5] / weight - my * my
-    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
-    return mx, my, np.cos(angle), np.sin(angle)
+    # cosine and sine of half of the angle whose tangent is 2 xy / (xx - yy)
+    root = np.hypot(xx - yy, 2 * xy)
+    if root < 1e-30:
+        return mx, my, 1.0, 0.0
+    if xx >= yy:
+        cos = np.sqrt(0.5 + 0.5 * (xx - yy) / root)
+        return mx, my, cos, xy / (root * cos)
+    sin = np.sqrt(0.5 - 0.5 * (xx - yy) / root)
+    return mx, my, abs(xy) / (root * sin), np.copysign(sin, xy)
 
 
 def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -41,33 +48,25 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
     count = 0
     along = np.empty(len(order))
     stack = np.empty((64, 2), np.int64)
+    rows = order.copy()
     for region in range(len(offsets) - 1):
-        rows = order[offsets[region] : offsets[region + 1]].copy()
-        stack[0] = 0, len(rows)
+        stack[0] = offsets[region], offsets[region + 1]
         depth = 1
         while depth > 0:
             depth -= 1
             start, end = stack[depth]
             part = moments[count]
-            part[:] = 0
-            for k in range(start, end):
-                x, y = np.float64(positions[rows[k], 0]), np.float64(positions[rows[k], 1])
-                w = np.float64(weights[rows[k]]) + 1e-12
-                part[0] += w
-                part[1] += w * x
-                part[2] += w * y
-                part[3] += w * x * x
-                part[4] += w * x * y
-                part[5] += w * y * y
+            _sum_moments(positions, weights, rows[start:end], part)
             mx, my, ux, uy = principal(part)
+            first, last = start, start  # the outermost pixels
             for k in range(start, end):
-                along[k - start] = (positions[rows[k], 0] - mx) * ux + (positions[rows[k], 1] - my) * uy
-            span = along[: end - start]
-            t0, t1 = span.min(), span.max()
+                along[k] = (positions[rows[k], 0] - mx) * ux + (positions[rows[k], 1] - my) * uy
+                first = k if along[k] < along[first] else first
+                last = k if along[k] > along[last] else last
+            t0, t1 = along[first], along[last]
             cut = -1
-            if end - start >= 12 and depth < 62:
-                sorting = np.argsort(span, kind="mergesort")
-                rows[start:end] = rows[start:end][sorting]
+            if end - start >= 12 and depth < 62 and _bends(positions, rows, start, end, first, last, max_deviation):
+                rows[start:end] = rows[start:end][np.argsort(along[start:end], kind="mergesort")]
                 cut = _farthest(positions, rows, start, end, max_deviation)
             if cut >= 0:
                 stack[depth] = start, cut
@@ -79,6 +78,34 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
             part[6], part[7], part[8], part[9] = mx + t0 * ux, my + t0 * uy, mx + t1 * ux, my + t1 * uy
             count += 1
     return labels, moments[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _sum_moments(positions, weights, rows, part):  # type: ignore[no-untyped-def]
+    """Set the first six numbers of a part."""
+    sw, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in rows:
+        x, y = np.float64(positions[row, 0]), np.float64(positions[row, 1])
+        w = np.float64(weights[row]) + 1e-12
+        sw += w
+        sx += w * x
+        sy += w * y
+        sxx += w * x * x
+        sxy += w * x * y
+        syy += w * y * y
+    part[0], part[1], part[2], part[3], part[4], part[5] = sw, sx, sy, sxx, sxy, syy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bends(positions, rows, start, end, first, last, max_deviation):  # type: ignore[no-untyped-def]
+    """Whether any pixel is farther from the chord of the outermost two; sorting waits for this."""
+    x0, y0 = positions[rows[first], 0], positions[rows[first], 1]
+    dx, dy = positions[rows[last], 0] - x0, positions[rows[last], 1] - y0
+    limit = max_deviation * max(np.hypot(dx, dy), 1e-6)
+    for k in range(start, end):
+        if abs((positions[rows[k], 0] - x0) * dy - (positions[rows[k], 1] - y0) * dx) > limit:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -46,6 +46,9 @@ def line_kernels(channels: int, size: int) -> NDArray[np.float32]:
     return kernels
 
 
+NOTHING = np.float32(1e-12)  # squared length of a descriptor that rounding errors make out
+
+
 @dataclass(frozen=True)
 class LineKernelOrientation:
     """Correlation of the edge map with line kernels, then L2 normalisation (equation 2 of the AirLine paper).
@@ -70,9 +73,12 @@ class LineKernelOrientation:
 
     def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Descriptors at given pixels; the image itself is not looked at."""
-        half = self.kernel_size // 2
-        padded = cv2.copyMakeBorder(edges, half, half, half, half, cv2.BORDER_CONSTANT, value=0)
-        return _correlate(padded, pixels, self._taps + half, self.subtract_mean)  # type: ignore[no-any-return]
+        height, width = edges.shape
+        offsets = tuple(tuple(line) for line in self._taps[:, :, 0] * width + self._taps[:, :, 1])
+        described: NDArray[np.float32] = _correlate(
+            edges.ravel(), height, width, pixels, self._taps, offsets, self.subtract_mean
+        )
+        return described
 
 
 @dataclass(frozen=True)
@@ -89,25 +95,37 @@ class GradientOrientation:
         return unit
 
 
-@njit(cache=True, nogil=True)
-def _correlate(padded, pixels, taps, subtract_mean):  # type: ignore[no-untyped-def]
-    channels, length = taps.shape[0], taps.shape[1]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean):  # type: ignore[no-untyped-def]
+    """`offsets` are the taps (y, x) as places in the flat map, per channel; tuples, since loops over those unroll."""
+    channels, half = len(offsets), taps.shape[1] // 2
     out = np.empty((len(pixels), channels), np.float32)
-    answer = np.empty(channels)  # double precision: little may be left when the mean is taken away
+    answer = np.empty(channels, np.float32)
     for k in range(len(pixels)):
         x, y = pixels[k, 0], pixels[k, 1]
-        mean = 0.0
-        for n in range(channels):
-            answer[n] = 0
-            for i in range(length):
-                answer[n] += padded[y + taps[n, i, 0], x + taps[n, i, 1]]
-            mean += answer[n] / channels
-        squared = 0.0
-        for n in range(channels):
-            if subtract_mean:
-                answer[n] -= mean
+        mean = np.float32(0)
+        if half <= x < width - half and half <= y < height - half:
+            place = y * width + x
+            for n in range(len(offsets)):
+                total = np.float32(0)
+                for i in range(len(offsets[0])):
+                    total += flat[np.uint64(place + offsets[n][i])]
+                answer[n] = total
+                mean += total
+        else:
+            for n in range(channels):
+                answer[n] = 0
+                for i in range(taps.shape[1]):
+                    row, column = y + taps[n, i, 0], x + taps[n, i, 1]
+                    if 0 <= row < height and 0 <= column < width:
+                        answer[n] += flat[row * width + column]
+                mean += answer[n]
+        mean = mean / np.float32(channels) if subtract_mean else np.float32(0)
+        squared = np.float32(0)
+        for n in range(len(offsets)):
+            answer[n] -= mean
             squared += answer[n] * answer[n]
-        norm = max(np.sqrt(squared), 1e-12)
-        for n in range(channels):
-            out[k, n] = answer[n] / norm
+        scale = np.float32(1) / np.sqrt(squared) if squared > NOTHING else np.float32(0)
+        for n in range(len(offsets)):
+            out[k, n] = answer[n] * scale
     return out

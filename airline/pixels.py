@@ -19,14 +19,12 @@ class EdgePixels:
 
     Attributes:
         support: (H, W) float32 the map the pixels were taken from, for the descriptors.
-        index: (H, W) int32 row of each pixel, -1 away from edges.
         pixels: (M, 2) int32 (x, y).
         positions: (M, 2) float32 sub-pixel positions of the edge (x, y), px.
         weights: (M,) float32 edge strength in [0, 1].
     """
 
     support: NDArray[np.float32]
-    index: NDArray[np.int32]
     pixels: NDArray[np.int32]
     positions: NDArray[np.float32]
     weights: NDArray[np.float32]
@@ -50,10 +48,8 @@ class ThresholdPixels:
         """Edge pixels of an (H, W) float32 edge probability map."""
         support = (edges >= self.threshold).astype(np.float32)
         y, x = np.nonzero(support)
-        index = np.full(edges.shape, -1, np.int32)
-        index[y, x] = np.arange(len(x), dtype=np.int32)
         pixels = np.stack([x, y], axis=1).astype(np.int32)
-        return EdgePixels(support, index, pixels, pixels.astype(np.float32), edges[y, x])
+        return EdgePixels(support, pixels, pixels.astype(np.float32), edges[y, x])
 
 
 @dataclass(frozen=True)
@@ -78,54 +74,77 @@ class RidgePixels:
 
     def select(self, edges: NDArray[np.float32]) -> EdgePixels:
         """Edge pixels of an (H, W) float32 edge probability map."""
-        window = (self.smoothing, self.smoothing)
-        smooth = cv2.GaussianBlur(edges, window, 0, borderType=cv2.BORDER_REPLICATE)
-        padded = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-        return EdgePixels(smooth, *_ridge(padded, edges, np.float32(self.threshold)))
+        smooth = edges
+        if self.smoothing > 1:
+            smooth = cv2.GaussianBlur(edges, (self.smoothing, self.smoothing), 0, borderType=cv2.BORDER_REPLICATE)
+        return EdgePixels(smooth, *_ridge(smooth, edges, np.float32(self.threshold)))
 
 
-SLACK = 0.1  # px a ridge may lie beyond the pixel's side, so that diagonal ridges stay 8-connected
+ZERO, QUARTER, HALF, ONE, TWO = (np.float32(value) for value in (0, 0.25, 0.5, 1, 2))
+FLAT = np.float32(-1e-6)  # curvature that is none
+TINY = np.float32(1e-24)
+REACH = np.float32(0.6)  # px: half a pixel, and some more, so that diagonal ridges stay 8-connected
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ridge(smooth, edges, threshold):  # type: ignore[no-untyped-def]
     height, width = edges.shape
-    index = np.full((height, width), -1, np.int32)
     capacity = 0
     for y in range(height):
+        line = edges[y]
         for x in range(width):
-            if edges[y, x] >= threshold:
-                capacity += 1
+            capacity += line[x] >= threshold
     pixels = np.empty((capacity, 2), np.int32)
     positions = np.empty((capacity, 2), np.float32)
     weights = np.empty(capacity, np.float32)
     count = 0
+    rows = np.empty((3, width + 2), np.float32)
+    steps = np.empty((3, width), np.float32)
+    kept = np.empty(width + 1, np.int32)
     for y in range(height):
-        for x in range(width):
-            if edges[y, x] < threshold:
-                continue
-            c = smooth[y + 1, x + 1]
-            left, right, above, below = smooth[y + 1, x], smooth[y + 1, x + 2], smooth[y, x + 1], smooth[y + 2, x + 1]
-            gx, gy = 0.5 * (right - left), 0.5 * (below - above)
-            xx, yy = right - 2 * c + left, below - 2 * c + above
-            xy = 0.25 * (smooth[y + 2, x + 2] - smooth[y, x + 2] - smooth[y + 2, x] + smooth[y, x])
-            mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
-            root = np.sqrt(half * half + xy * xy)
-            curvature = mean - root  # most negative second derivative: across the ridge
-            if curvature >= -1e-6:
-                continue
-            # eigenvector of that curvature, from the better conditioned row of H - curvature I
-            nx, ny = (xy, curvature - xx) if half > 0 else (curvature - yy, xy)
-            norm = np.hypot(nx, ny)
-            if norm < 1e-12:
-                nx, ny, norm = 1.0, 0.0, 1.0
-            nx, ny = nx / norm, ny / norm
-            step = -(gx * nx + gy * ny) / curvature
-            dx, dy = step * nx, step * ny
-            if abs(dx) <= 0.5 + SLACK and abs(dy) <= 0.5 + SLACK:
-                index[y, x] = count
-                pixels[count, 0], pixels[count, 1] = x, y
-                positions[count, 0], positions[count, 1] = x + dx, y + dy
-                weights[count] = min(1.0, edges[y, x])
-                count += 1
-    return index, pixels[:count].copy(), positions[:count].copy(), weights[:count].copy()
+        for k in range(3):
+            source, row = smooth[min(max(y + k - 1, 0), height - 1)], rows[k]
+            for x in range(width):
+                row[x + 1] = source[x]
+            row[0], row[width + 1] = source[0], source[width - 1]
+        line = edges[y]
+        _ridge_steps(rows, line, threshold, steps)
+        dx, dy, far = steps[0], steps[1], steps[2]
+        here = 0
+        for x in range(width):  # without branches, which would be guessed wrong
+            kept[here] = x
+            here += far[x] <= REACH
+        for k in range(here):
+            x = kept[k]
+            pixels[count, 0], pixels[count, 1] = x, y
+            positions[count, 0], positions[count, 1] = x + dx[x], y + dy[x]
+            weights[count] = min(ONE, line[x])
+            count += 1
+    return pixels[:count].copy(), positions[:count].copy(), weights[:count].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})
+def _ridge_steps(rows, edges, threshold, steps):  # type: ignore[no-untyped-def]
+    """From each pixel of the middle one of three rows to the ridge: x, y, the greater of both, px; far where none is.
+
+    Without branches, so that it is compiled into vector instructions.
+    """
+    above, here, below = rows[0], rows[1], rows[2]
+    a0, a1, a2 = above[:-2], above[1:-1], above[2:]
+    b0, b1, b2 = here[:-2], here[1:-1], here[2:]
+    c0, c1, c2 = below[:-2], below[1:-1], below[2:]
+    dx, dy, far = steps[0], steps[1], steps[2]
+    for x in range(len(dx)):
+        gx, gy = HALF * (b2[x] - b0[x]), HALF * (c1[x] - a1[x])
+        xx, yy = b2[x] - TWO * b1[x] + b0[x], c1[x] - TWO * b1[x] + a1[x]
+        xy = QUARTER * (c2[x] - a2[x] - c0[x] + a0[x])
+        half = HALF * (xx - yy)
+        root = np.sqrt(half * half + xy * xy)
+        curvature = HALF * (xx + yy) - root  # most negative second derivative: across the ridge
+        # eigenvector of that curvature, from the better conditioned row of H - curvature I
+        large = -(abs(half) + root)
+        nx, ny = (xy, large) if half > ZERO else (large, xy)
+        along = (gx * nx + gy * ny) / (curvature * (nx * nx + ny * ny) - TINY)
+        dx[x], dy[x] = -along * nx, -along * ny
+        greater = max(abs(dx[x]), abs(dy[x]))
+        far[x] = greater if (curvature < FLAT) & (edges[x] >= threshold) else TWO

@@ -17,7 +17,7 @@ from numba import njit
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
 from airline.lines import LineSet
-from airline.score import bilinear
+from airline.score import between
 
 CHUNK = 8.0  # px, length over which profiles are averaged
 MIN_LENGTH = 10.0  # px; shorter lines stay where they are
@@ -99,7 +99,7 @@ def _chunk(image, x0, y0, ux, uy, length):  # type: ignore[no-untyped-def]
             continue
         last = 0.0
         for j in range(6):
-            value = bilinear(image, x - (j - 2.5) * uy, y + (j - 2.5) * ux)
+            value = between(image, x - (j - 2.5) * uy, y + (j - 2.5) * ux)
             if j > 0:
                 slope[j - 1] += value - last
             if j == 3:

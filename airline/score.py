@@ -10,27 +10,39 @@ SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
 
 @njit(cache=True, nogil=True)
 def line_scores(support, ends):  # type: ignore[no-untyped-def]
-    """(N,) float32 scores in [0, 1] of lines with end points (N, 4), px: `mean strength * length / (length + SHORT)`.
+    """(N,) float32 scores in [0, 1] of lines with end points (N, 4), px; see `line_score`."""
+    scores = np.empty(len(ends), np.float32)
+    for i in range(len(ends)):
+        scores[i] = line_score(support, ends[i, 0], ends[i, 1], ends[i, 2], ends[i, 3])
+    return scores
+
+
+@njit(cache=True, nogil=True)
+def line_score(support, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
+    """Score of one line, `mean strength * length / (length + SHORT)`.
 
     Of the scores tried on held-out photographs and rendered scenes, in good light and in the dark, it told true lines
     from false ones best; the strength alone trusts short lines too much.
     """
-    scores = np.empty(len(ends), np.float32)
-    for i in range(len(ends)):
-        x0, y0, x1, y1 = ends[i]
-        length = np.hypot(x1 - x0, y1 - y0)
-        scores[i] = min(1.0, strength(support, x0, y0, x1, y1) * length / (length + SHORT))
-    return scores
+    length = np.hypot(x1 - x0, y1 - y0)
+    return np.float32(min(1.0, strength(support, x0, y0, x1, y1) * length / (length + SHORT)))
 
 
 @njit(cache=True, nogil=True)
 def strength(support, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
     """Mean of the map along a line, sampled about every pixel."""
+    height, width = support.shape
     samples = max(2, int(np.hypot(x1 - x0, y1 - y0)))
+    dx, dy = (x1 - x0) / (samples - 1), (y1 - y0) / (samples - 1)
+    inside = min(x0, x1, y0, y1) >= 0 and max(x0, x1) <= width - 1 and max(y0, y1) <= height - 1
     total = 0.0
-    for k in range(samples):
-        t = k / (samples - 1)
-        total += bilinear(support, x0 + t * (x1 - x0), y0 + t * (y1 - y0))
+    if inside and min(height, width) > 1:
+        for k in range(samples - 1):
+            total += between(support, x0 + k * dx, y0 + k * dy)
+        total += between(support, x1, y1)
+    else:
+        for k in range(samples):
+            total += bilinear(support, x0 + k * dx, y0 + k * dy)
     return total / samples
 
 
@@ -46,3 +58,15 @@ def bilinear(image, x, y):  # type: ignore[no-untyped-def]
     right, below = min(column + 1, width - 1), min(row + 1, height - 1)
     top = (1 - fx) * image[row, column] + fx * image[row, right]
     return (1 - fy) * top + fy * ((1 - fx) * image[below, column] + fx * image[below, right])
+
+
+@njit(cache=True, nogil=True)
+def between(image, x, y):  # type: ignore[no-untyped-def]
+    """The same for places that are known to lie on the image, which must be two pixels wide and high at least."""
+    height, width = image.shape
+    column, row = min(int(x), width - 2), min(int(y), height - 2)
+    fx, fy = x - column, y - row
+    left, right = image[row, column], image[row, column + 1]
+    low, high = image[row + 1, column], image[row + 1, column + 1]
+    top = (1 - fx) * left + fx * right
+    return (1 - fy) * top + fy * ((1 - fx) * low + fx * high)

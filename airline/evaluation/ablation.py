@@ -78,7 +78,9 @@ class HoughTransform:
 
     def __call__(self, image: Image, edges: NDArray[np.float32]) -> Lines:
         """(N, 2, 2) lines, px, of an (H, W) edge map; the image is not looked at."""
-        mask = (self.pixels.select(edges).index >= 0).astype(np.uint8)
+        x, y = self.pixels.select(edges).pixels.T
+        mask = np.zeros(edges.shape, np.uint8)
+        mask[y, x] = 1
         lines = cv2.HoughLinesP(mask, 1, np.pi / 180, self.votes, None, self.min_length, self.max_gap)
         return np.zeros((0, 2, 2)) if lines is None else np.asarray(lines, np.float64).reshape(-1, 2, 2)
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import openvino as ov
 from numpy.typing import NDArray
 
 from airline.image import Gray
+from airline.runtimes.fold import fold, unfold
 from airline.runtimes.openvino_graph import build
 from airline.weights import load_weights
 
@@ -36,7 +35,7 @@ class OpenVinoNetwork:
         self._core = ov.Core()
         has_bf16 = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
         self._precision = "bf16" if has_bf16 else "f32"
-        self._requests: OrderedDict[tuple[Any, ...], ov.InferRequest] = OrderedDict()
+        self._requests: OrderedDict[tuple[int, int], ov.InferRequest] = OrderedDict()
         self._lock = threading.Lock()
 
     @property
@@ -44,28 +43,18 @@ class OpenVinoNetwork:
         return f"openvino {self._precision}"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
-        mean, std = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
-        factor = 1 / max(std, 1.0)  # as `airline.unet.normalise`
-        image: NDArray[Any] = np.ascontiguousarray(gray)
-        if image.dtype == np.uint8:  # bfloat16 holds whole numbers up to 256 exactly, so the mean goes in two parts
-            scale = np.array([round(mean), factor, (round(mean) - mean) * factor], np.float32)
-        else:
-            image = (image - np.float32(mean)) * np.float32(factor)
-            scale = np.array([0, 1, 0], np.float32)
-        edges = np.empty(gray.shape, np.float32)
+        planes = fold(gray, self._spec)
+        rows, columns = planes.shape[2:]
         with self._lock:
-            request = self._request(image)
-            request.set_input_tensor(0, ov.Tensor(image[None, None], shared_memory=True))
-            request.set_input_tensor(1, ov.Tensor(scale, shared_memory=True))
-            request.set_output_tensor(ov.Tensor(edges, shared_memory=True))
+            request = self._request(rows, columns)
+            request.set_input_tensor(ov.Tensor(planes, shared_memory=True))
             request.infer()
-        return edges
+            return unfold(request.get_output_tensor().data[0], self._spec.unshuffle, *gray.shape)
 
-    def _request(self, image: NDArray[Any]) -> ov.InferRequest:
-        key = (*image.shape, str(image.dtype))
+    def _request(self, rows: int, columns: int) -> ov.InferRequest:
+        key = rows, columns
         if key not in self._requests:
-            height, width = image.shape
-            model = build(self._spec, self._weights, height, width, image.dtype)
+            model = build(self._spec, self._weights, rows, columns)
             options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
             self._requests[key] = self._core.compile_model(model, "CPU", options).create_infer_request()
             if len(self._requests) > _SIZES:

@@ -1,0 +1,71 @@
+"""The image as the network's input and its answer as an edge map, against torch's own operations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline.runtimes.fold import fold, folded_size, unfold
+from airline.spec import UNetSpec
+from airline.unet import UNet, normalise
+
+SPECS = st.builds(
+    UNetSpec,
+    base=st.just(4),
+    levels=st.integers(1, 4),
+    unshuffle=st.sampled_from([1, 2, 4]),
+    smoothed=st.integers(0, 3),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    spec=SPECS,
+    height=st.integers(1, 70),
+    width=st.integers(1, 70),
+    depth=st.sampled_from([np.uint8, np.uint16]),
+    seed=st.integers(0, 99),
+)
+def test_fold(spec: UNetSpec, height: int, width: int, depth: type, seed: int) -> None:
+    """Every size, also those that are no multiples of the network's stride."""
+    gray = np.random.default_rng(seed).integers(0, np.iinfo(depth).max, (height, width), depth)
+    image = normalise(torch.from_numpy(gray.astype(np.float32))[None, None])
+    beyond = (0, -width % spec.stride, 0, -height % spec.stride)
+    blocks = torch.nn.functional.pixel_unshuffle(
+        torch.nn.functional.pad(image, beyond, mode="replicate"), spec.unshuffle
+    )
+    expected = torch.cat([blocks, *UNet(spec)._smoothed(blocks)], dim=1).numpy()
+    planes = fold(gray, spec)
+    assert planes.dtype == np.float32
+    assert planes.shape[2:] == folded_size(spec, height, width)
+    np.testing.assert_allclose(planes, expected, atol=1e-4)
+
+
+def test_a_flat_image_becomes_zeros() -> None:
+    assert not fold(np.full((20, 30), 77, np.uint8), UNetSpec()).any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    side=st.sampled_from([1, 2, 4]),
+    height=st.integers(1, 40),
+    width=st.integers(1, 40),
+    margin=st.integers(0, 3),
+    seed=st.integers(0, 99),
+)
+def test_unfold(side: int, height: int, width: int, margin: int, seed: int) -> None:
+    rows, columns = (-(-length // side) + margin for length in (height, width))
+    logits = np.random.default_rng(seed).normal(0, 6, (rows, columns, side * side)).astype(np.float32)
+    shuffled = torch.nn.functional.pixel_shuffle(torch.from_numpy(logits.transpose(2, 0, 1)[None]), side)
+    expected = torch.sigmoid(shuffled)[0, 0, :height, :width].numpy()
+    edges = unfold(logits, side, height, width)
+    assert edges.dtype == np.float32
+    np.testing.assert_allclose(edges, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("logit", [-np.inf, -1e30, -50, 50, 1e30, np.inf])
+def test_probabilities_stay_between_0_and_1(logit: float) -> None:
+    assert unfold(np.full((4, 4, 4), logit, np.float32), 2, 8, 8) == pytest.approx(float(logit > 0), abs=1e-5)
