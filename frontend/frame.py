@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.image import Gray, to_gray
 from frontend.camera import CameraModel
 
 
@@ -25,3 +27,12 @@ class Frame:
     stamp_ns: int
     image: NDArray[np.uint8] | NDArray[np.uint16]
     camera: CameraModel | None = None
+
+    @cached_property
+    def gray(self) -> Gray:
+        """(H, W) luminance of the image, of its dtype; computed once, for detector and tracker.
+
+        Raises:
+            InputError: the image is none that `airline` takes.
+        """
+        return to_gray(self.image)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
-from airline.image import Gray, to_gray
+from airline.image import Gray
 from airline.trace import Trace
 from frontend.frame import Frame
 from frontend.protocols import FrameResult, Source, is_live
@@ -107,7 +107,7 @@ class LineFrontend:
             read.close()
 
     def _detect(self, read: _Read) -> _Detected:
-        gray = to_gray(read.frame.image)
+        gray = read.frame.gray
         started = time.perf_counter()
         edges = self.detector.edges.detect(gray)
         return _Detected(read, gray, edges, 1e3 * (time.perf_counter() - started))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.image import to_gray, to_uint8
+from airline.image import to_uint8
 from airline.lines import LineSet
 from frontend.frame import Frame
 from frontend.tracking.appearance import side_profiles
@@ -54,7 +54,7 @@ class LineTracker:
             frame: the image, in time order.
             lines: its detected lines.
         """
-        gray = to_uint8(to_gray(frame.image))
+        gray = to_uint8(frame.gray)
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
         seen = Looks(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
         earlier = no_tracks(seen) if self._tracks is None else self._tracks
@@ -71,9 +71,9 @@ class LineTracker:
         if len(lines) or reset is not None:
             self._image = image
         else:  # an image without lines says nothing: the tracks wait where they were
-            tracks = replace(tracks, visible=earlier.take(np.isin(earlier.ids, tracks.ids)).visible)
+            tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
-        return self._result(frame, lines, tracks, line_of, np.setdiff1d(earlier.ids, tracks.ids), reset)
+        return self._result(frame, lines, tracks, line_of, _gone(earlier.ids, tracks.ids), reset)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:
@@ -134,7 +134,9 @@ class LineTracker:
         tracks = _updated(tracks, hit, seen.take(pairs[hit]), errors[pairs[hit]], size)
         observed = seen.segments[pairs[hit]]
         alive = self._alive(tracks, hit, observed, size)
-        new = np.setdiff1d(np.arange(len(seen.segments), dtype=np.int32), pairs)
+        free = np.ones(len(seen.segments), np.bool_)
+        free[pairs[hit]] = False
+        new = np.flatnonzero(free).astype(np.int32)
         parent = parents(np.concatenate([observed, seen.segments[new]]), tracks.segments[hit])
         of_parent = np.append(np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)[hit], -1)[parent]
         tracks = tracks.with_rows(hit, {"fragment_of": np.maximum(tracks.fragment_of[hit], of_parent[: hit.sum()])})
@@ -222,6 +224,12 @@ def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines:
         return None
     share = (pairs[visible] >= 0).mean()
     return f"scene cut: {100 * share:.0f} % of the tracks go on" if share <= CUT_TRACKS else None
+
+
+def _gone(earlier: NDArray[np.int64], now: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those of the ids, in ascending order, that are not among the later ones, also ascending."""
+    place = np.searchsorted(now, earlier)
+    return np.asarray(earlier[np.append(now, -1)[place] != earlier])
 
 
 def _along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:

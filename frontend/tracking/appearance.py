@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from airline.score import bilinear
+from airline.score import between, bilinear
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line
 SPACING = 6.0  # px between samples along the line
@@ -51,7 +51,7 @@ def _profiles(image, segments):  # type: ignore[no-untyped-def]
                 t = (k + 0.5) / samples
                 x = min(max(x0 + t * dx - OFFSETS[c] * nx, 0.0), width - 1.0)
                 y = min(max(y0 + t * dy - OFFSETS[c] * ny, 0.0), height - 1.0)
-                total += bilinear(image, x, y)
+                total += between(image, x, y) if min(height, width) > 1 else bilinear(image, x, y)
             row[c] = total / samples
         row -= row.mean()
         row /= np.sqrt(np.sum(row * row) + FLOOR * FLOOR)

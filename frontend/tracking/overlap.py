@@ -158,7 +158,6 @@ def lines_near(track, length, band, x, y, lengths, slant, near):  # type: ignore
         )
     count = 0
     for j in range(len(x)):
-        if possible[j]:
-            near[count] = j
-            count += 1
+        near[count] = j
+        count += possible[j]
     return count
