@@ -29,9 +29,11 @@ class EdgeDetector(Protocol):
 class UNetEdges:
     """The learned edge detector: a U-Net with weights from a safetensors file."""
 
-    def __init__(self, weights: str | Path | UNet = "default", runtime: Runtime = "auto") -> None:
+    def __init__(
+        self, weights: str | Path | UNet = "default", runtime: Runtime = "auto", threads: int | None = None
+    ) -> None:
         """Load the network; arguments and errors of `airline.runtimes.open_network`."""
-        self.network: EdgeNetwork = open_network(weights, runtime)
+        self.network: EdgeNetwork = open_network(weights, runtime, threads)
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
         """Edge probability; the image is normalised to zero mean and unit variance, so its range does not matter."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Generator, Iterator
 from itertools import chain
@@ -22,6 +23,12 @@ from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
 
 
+def network_threads() -> int:
+    """Cores for the edge network when the other stages work beside it: half of them."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // 2)
+
+
 class LineFrontend:
     """Detects and tracks lines in a stream, in constant memory.
 
@@ -33,7 +40,7 @@ class LineFrontend:
 
     def __init__(self, detector: AirLine | None = None, tracker: LineTracker | None = None) -> None:
         """Use the given detector and tracker, or the default ones."""
-        self.detector = detector or AirLine()
+        self.detector = detector or AirLine(threads=network_threads())
         self.tracker = tracker or LineTracker()
 
     def warm_up(self, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

@@ -259,13 +259,14 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     are closed whatever happens.
     """
     from airline.detector import AirLine
-    from frontend.pipeline import LineFrontend
+    from frontend.pipeline import LineFrontend, network_threads
     from frontend.protocols import is_live
     from frontend.sources.fresh import FreshFrames
     from frontend.summary import SummaryCounter
     from frontend.tracker import LineTracker
 
-    frontend = LineFrontend(AirLine(config=config.detector, runtime=config.runtime), LineTracker(config.tracker))
+    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
+    frontend = LineFrontend(detector, LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
     fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
     sinks: list[Sink] = []

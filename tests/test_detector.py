@@ -50,6 +50,35 @@ def test_finds_the_sides_of_a_rectangle(airline):
         assert near(lines.segments, start, end, 4.0), (start, end)
 
 
+def test_batch_gives_what_single_images_give(airline):
+    images = [room(), room(200, 150), cv2.merge([room()] * 3), room().astype(np.uint16) * 200]
+    for found, image in zip(airline.detect_batch(iter(images)), images, strict=True):
+        np.testing.assert_array_equal(found.segments, airline(image).segments)
+    assert list(airline.detect_batch([])) == []
+
+
+def test_batch_takes_images_as_they_are_needed(airline):
+    taken = []
+
+    def endless():
+        while True:
+            taken.append(1)
+            yield room(80, 60)
+
+    results = airline.detect_batch(endless())
+    for _ in range(3):
+        next(results)
+    assert len(taken) <= 4
+    results.close()
+
+
+def test_batch_says_which_image_is_none_after_those_before_it(airline):
+    results = airline.detect_batch([room(), np.zeros((5, 5)), room()])
+    assert len(next(results)) > 12
+    with pytest.raises(InputError, match="float64"):
+        next(results)
+
+
 def test_result_is_well_formed(airline):
     lines = airline(room())
     n = len(lines)

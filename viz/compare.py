@@ -99,10 +99,11 @@ def open_streams(a: str, b: str, source: Source | None) -> list[Iterator[Moment]
 def open_frontend(config: RunConfig) -> LineFrontend:
     """Detector and tracker; the settings of the input do not count, as both runs get the same frames."""
     from airline.detector import AirLine
-    from frontend.pipeline import LineFrontend
+    from frontend.pipeline import LineFrontend, network_threads
     from frontend.tracker import LineTracker
 
-    return LineFrontend(AirLine(config=config.detector, runtime=config.runtime), LineTracker(config.tracker))
+    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
+    return LineFrontend(detector, LineTracker(config.tracker))
 
 
 def run_moments(source: Source, frontends: Sequence[LineFrontend]) -> Iterator[Moment]:

@@ -32,13 +32,14 @@ class EdgeNetwork(Protocol):
         ...
 
 
-def open_network(weights: str | Path | UNet, runtime: Runtime = "auto") -> EdgeNetwork:
+def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads: int | None = None) -> EdgeNetwork:
     """Load the edge network.
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
         runtime: "openvino" (bfloat16 where the processor has it), "torch" (float32 on the CPU), "cuda", or "auto": CUDA
             where there is such a device, else OpenVINO where it is installed, else torch.
+        threads: how many of the processor's cores OpenVINO works on; all by default.
 
     Raises:
         WeightsError: the weights are missing, damaged or made for another network.
@@ -53,7 +54,7 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto") -> EdgeN
             from airline.runtimes.openvino_cpu import OpenVinoNetwork
         except ImportError as error:
             raise ConfigError(f"OpenVINO cannot be used ({error}): install openvino, or use --runtime torch") from error
-        return OpenVinoNetwork(weights)
+        return OpenVinoNetwork(weights, threads)
     from airline.runtimes.torch_eager import TorchNetwork
 
     return TorchNetwork(weights, cuda=runtime == "cuda")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openvino as ov
@@ -25,16 +26,18 @@ class OpenVinoNetwork:
 
     Args:
         weights: name of bundled weights, or path of a weights file.
+        threads: at most so many; all cores by default.
 
     Raises:
         WeightsError: the weights cannot be used.
     """
 
-    def __init__(self, weights: str | Path) -> None:
+    def __init__(self, weights: str | Path, threads: int | None = None) -> None:
         self._spec, self._weights = load_weights(weights)
         self._core = ov.Core()
         has_bf16 = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
         self._precision = "bf16" if has_bf16 else "f32"
+        self._threads = threads
         self._requests: OrderedDict[tuple[int, int], ov.InferRequest] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -55,7 +58,9 @@ class OpenVinoNetwork:
         key = rows, columns
         if key not in self._requests:
             model = build(self._spec, self._weights, rows, columns)
-            options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
+            options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
+            if self._threads is not None:
+                options["INFERENCE_NUM_THREADS"] = self._threads
             self._requests[key] = self._core.compile_model(model, "CPU", options).create_infer_request()
             if len(self._requests) > _SIZES:
                 self._requests.popitem(last=False)

@@ -35,19 +35,26 @@ def build(spec: UNetSpec, weights: Weights, rows: int, columns: int) -> ov.Model
         x = _block(x, f"down.{level}", spec, weights)
         skips.append(x)
     for level in reversed(range(spec.levels - 1)):
-        x = op.interpolate(
-            _conv(x, f"lateral.{level}", weights),
-            np.array([2, 2], np.float32),
-            "nearest",
-            "scales",
-            coordinate_transformation_mode="asymmetric",
-            nearest_mode="floor",
-            axes=np.array([2, 3]),
-        )
-        x = _block(op.add(x, skips[level]), f"up.{level}", spec, weights)
+        size = rows >> level, columns >> level, spec.widths[level]
+        x = _add_coarse(skips[level], _conv(x, f"lateral.{level}", weights), size)
+        x = _block(x, f"up.{level}", spec, weights)
     # with the channels last, as the convolution leaves them
     logits = op.transpose(_conv(x, "head", weights), np.array([0, 2, 3, 1]))
     return ov.Model([logits], [planes], "edges")
+
+
+def _add_coarse(fine: ov.Node, coarse: ov.Node, size: tuple[int, int, int]) -> ov.Node:
+    """A map plus one of half the size, each pixel of which counts for four.
+
+    By broadcasting, so that the enlarged map is never written; with the channels last, as the convolutions leave them.
+    """
+    rows, columns, channels = size
+    fine = op.transpose(fine, np.array([0, 2, 3, 1]))
+    coarse = op.transpose(coarse, np.array([0, 2, 3, 1]))
+    blocks = op.reshape(fine, [1, rows // 2, 2, columns // 2, 2, channels], special_zero=False)
+    single = op.reshape(coarse, [1, rows // 2, 1, columns // 2, 1, channels], special_zero=False)
+    total = op.reshape(op.add(blocks, single), [1, rows, columns, channels], special_zero=False)
+    return op.transpose(total, np.array([0, 3, 1, 2]))
 
 
 def _block(x: ov.Node, name: str, spec: UNetSpec, weights: Weights) -> ov.Node:
