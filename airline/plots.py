@@ -88,7 +88,7 @@ def read_rivals(paths: list[Path]) -> dict[str, Scores]:
 
 def draw_lp_curve(rivals: dict[str, Scores]) -> Figure:
     """LP over the radius; every legend entry carries the precision, since LP is a recall."""
-    figure, axes = _axes("distance r to the nearest detected pixel, px", "LP$_r$, % of the annotated pixels")
+    figure, (axes,) = new_axes(("distance r to the nearest detected pixel, px", "LP$_r$, % of the annotated pixels"))
     for (name, scores), style in zip(rivals.items(), _styles(), strict=False):
         radii = sorted(scores.lp)
         label = f"{name}, P2 {scores.p2:.1f} %"
@@ -102,7 +102,7 @@ def draw_lp_curve(rivals: dict[str, Scores]) -> Figure:
 
 def draw_performance(rivals: dict[str, Scores]) -> Figure:
     """F2 over frames per second with curves of equal product; detectors without a time are left out."""
-    figure, axes = _axes("frames per second", "F-score at 2 px, %")
+    figure, (axes,) = new_axes(("frames per second", "F-score at 2 px, %"))
     from matplotlib.ticker import MaxNLocator
 
     points = []
@@ -125,17 +125,23 @@ def draw_performance(rivals: dict[str, Scores]) -> Figure:
     return figure
 
 
-def _axes(x_label: str, y_label: str) -> tuple[Figure, Axes]:
+def new_axes(*labels: tuple[str, str]) -> tuple[Figure, list[Axes]]:
+    """An empty figure with axes side by side, for each its labels (x, y).
+
+    Raises:
+        ConfigError: matplotlib is missing.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError("plots need matplotlib: pip install 'airline-frontend[plots]'") from None
-    figure = Figure(figsize=(6.5, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure, axes
+    figure = Figure(figsize=(2.5 + 4 * len(labels), 4.2), layout="constrained")
+    row = [figure.add_subplot(1, len(labels), k + 1) for k in range(len(labels))]
+    for axes, (x_label, y_label) in zip(row, labels, strict=True):
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, row
 
 
 def _styles() -> Iterator[dict[str, Any]]:
