@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 SIZES = ["320x240", "640x480", "1280x720", "1920x1080"]
 LINES_AT = "640x480"
+KINDS = ("indoor", "street", "shelves")
+SEEDS = range(12, 18)
 HALF_PRECISION = 2  # bytes of an activation
 CONVOLUTION = 256, 64  # channels and side of the one that measures the peak
 
@@ -76,7 +78,18 @@ def over_sizes(detector: AirLine, sizes: Sequence[str], paths: Sequence[Path], r
 
 def over_lines(detector: AirLine, paths: Sequence[Path], rounds: int) -> list[Point]:
     """Each picture by itself, at one size."""
-    return [_point(detector, [picture], LINES_AT, 3 * rounds) for picture in load_pictures(paths, LINES_AT)]
+    pictures = load_pictures(paths, LINES_AT) if paths else _scenes()
+    return [_point(detector, [picture], LINES_AT, 3 * rounds) for picture in pictures]
+
+
+def _scenes() -> list[Any]:
+    """Grey pictures of rendered scenes with few and with many lines."""
+    import cv2
+
+    from airline.scenes import Sequence as Clip
+
+    clips = [Clip(kind=kind, motion="handheld", seed=seed, frames=8) for kind in KINDS for seed in SEEDS]
+    return [cv2.cvtColor(clip.render(0).image, cv2.COLOR_BGR2GRAY) for clip in clips]
 
 
 def _point(detector: AirLine, pictures: Sequence[Any], size: str, rounds: int) -> Point:
@@ -96,7 +109,8 @@ def draw(sizes: Sequence[Point], pictures: Sequence[Point]) -> Figure:
         x = [getattr(point, place) for point in ordered]
         for colour, marker, name, value in CURVES:
             y = [getattr(point, value) / unit for point in ordered]
-            axes.plot(x, y, color=colour, marker=marker, label=name)
+            line = "-" if axes is left else ""  # pictures with as many lines are not alike
+            axes.plot(x, y, line, color=colour, marker=marker, label=name)
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     left.legend(fontsize=8)

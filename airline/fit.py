@@ -144,7 +144,9 @@ def _vote(parts, lines_of, descriptors, count):  # type: ignore[no-untyped-def]
         squared = np.float32(0)
         for c in range(descriptors.shape[1]):
             squared += means[line, c] * means[line, c]
-        means[line] /= max(np.sqrt(squared), np.float32(1e-12))
+        norm = max(np.sqrt(squared), np.float32(1e-12))
+        for c in range(descriptors.shape[1]):
+            means[line, c] /= norm
     return labels, means
 
 

@@ -4,33 +4,46 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from airline.moments import principal
 
 CELL = 32.0  # px, side of the cells in which end points are looked up
 
 
-@njit(cache=True, nogil=True)
-def join(moments, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
-    """Join collinear neighbours, longest first; returns for each part the part that it became one with."""
-    count = len(moments)
-    owner = np.arange(count)
-    if max_gap <= 0 or count == 0:
+def join(moments: NDArray[np.float64], max_gap: float, max_offset: float, min_cos: float) -> NDArray[np.int64]:
+    """Join collinear neighbours, longest first.
+
+    Args:
+        moments: (N, 10) float64 parts; those that others became one with are changed.
+        max_gap, max_offset: px, see `TotalLeastSquaresFitter`.
+        min_cos: cosine of the largest angle between the two.
+
+    Returns:
+        (N,) int64 the part that each part became one with, itself for most.
+    """
+    owner = np.arange(len(moments))
+    if max_gap <= 0 or not len(moments):
         return owner
-    ends = moments[:, 6:].copy().reshape(2 * count, 2)
+    ends = moments[:, 6:].reshape(-1, 2).copy()
     cells = np.maximum(ends / CELL, 0).astype(np.int64)
-    columns, rows = cells[:, 0].max() + 1, cells[:, 1].max() + 1
+    first = np.full(cells.max(axis=0)[::-1] + 1, -1, np.int64)
+    lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
+    _join(moments, np.argsort(-lengths, kind="stable"), owner, ends, cells, first, max_gap, max_offset, min_cos)
+    return owner
+
+
+@njit(cache=True, nogil=True)
+def _join(moments, longest_first, owner, ends, cells, first, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     # the ends in each cell as a linked list
-    first = np.full((rows, columns), -1, np.int64)
-    following = np.empty(2 * count, np.int64)
-    for end in range(2 * count):
+    following = np.empty(len(ends), np.int64)
+    for end in range(len(ends)):
         following[end] = first[cells[end, 1], cells[end, 0]]
         first[cells[end, 1], cells[end, 0]] = end
-    axes = np.empty((count, 4))  # centre and direction of each part
-    for i in range(count):
-        axes[i] = principal(moments[i])
-    lengths = np.hypot(ends[1::2, 0] - ends[::2, 0], ends[1::2, 1] - ends[::2, 1])
-    for i in np.argsort(-lengths, kind="mergesort"):
+    axes = np.empty((len(moments), 4))  # centre and direction of each part
+    for i in range(len(moments)):
+        axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3] = principal(moments[i])
+    for i in longest_first:
         grown = owner[i] == i
         while grown:
             grown = False
@@ -38,12 +51,12 @@ def join(moments, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
                 partner = _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos)
                 if partner >= 0:
                     owner[partner] = i
-                    moments[i, :6] += moments[partner, :6]
-                    axes[i] = principal(moments[i])
+                    for k in range(6):
+                        moments[i, k] += moments[partner, k]
+                    axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3] = principal(moments[i])
                     _extend(moments, axes, i, partner)
                     grown = True
                     break
-    return owner
 
 
 @njit(cache=True, nogil=True)

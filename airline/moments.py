@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+MARGIN = 4  # pixels at each end of a region at which it is not cut
+
 
 @njit(cache=True, nogil=True)
 def principal(moments):  # type: ignore[no-untyped-def]
@@ -47,16 +49,16 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
     moments = np.empty((len(order) + 1, 10))
     count = 0
     along = np.empty(len(order))
-    stack = np.empty((64, 2), np.int64)
+    starts, ends = np.empty(64, np.int64), np.empty(64, np.int64)  # of what is left of a region
     rows = order.copy()
     for region in range(len(offsets) - 1):
-        stack[0] = offsets[region], offsets[region + 1]
+        starts[0], ends[0] = offsets[region], offsets[region + 1]
         depth = 1
         while depth > 0:
             depth -= 1
-            start, end = stack[depth]
+            start, end = starts[depth], ends[depth]
             part = moments[count]
-            _sum_moments(positions, weights, rows[start:end], part)
+            _sum_moments(positions, weights, rows, start, end, part)
             mx, my, ux, uy = principal(part)
             first, last = start, start  # the outermost pixels
             for k in range(start, end):
@@ -64,15 +66,14 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
                 first = k if along[k] < along[first] else first
                 last = k if along[k] > along[last] else last
             t0, t1 = along[first], along[last]
-            cut = -1
-            if end - start >= 12 and depth < 62 and _bends(positions, rows, start, end, first, last, max_deviation):
-                rows[start:end] = rows[start:end][np.argsort(along[start:end], kind="mergesort")]
-                cut = _farthest(positions, rows, start, end, max_deviation)
-            if cut >= 0:
-                stack[depth] = start, cut
-                stack[depth + 1] = cut, end
-                depth += 2
-                continue
+            if end - start >= 12 and depth < 62:
+                bend = _bend(positions, rows, along, start, end, first, last, max_deviation)
+                if bend >= 0:
+                    cut = _divide(rows, along, start, end, along[bend])
+                    starts[depth], ends[depth] = start, cut
+                    starts[depth + 1], ends[depth + 1] = cut, end
+                    depth += 2
+                    continue
             for k in range(start, end):
                 labels[rows[k]] = count
             part[6], part[7], part[8], part[9] = mx + t0 * ux, my + t0 * uy, mx + t1 * ux, my + t1 * uy
@@ -81,10 +82,11 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def _sum_moments(positions, weights, rows, part):  # type: ignore[no-untyped-def]
+def _sum_moments(positions, weights, rows, start, end, part):  # type: ignore[no-untyped-def]
     """Set the first six numbers of a part."""
     sw, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in rows:
+    for k in range(start, end):
+        row = rows[k]
         x, y = np.float64(positions[row, 0]), np.float64(positions[row, 1])
         w = np.float64(weights[row]) + 1e-12
         sw += w
@@ -97,26 +99,45 @@ def _sum_moments(positions, weights, rows, part):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bends(positions, rows, start, end, first, last, max_deviation):  # type: ignore[no-untyped-def]
-    """Whether any pixel is farther from the chord of the outermost two; sorting waits for this."""
+def _bend(positions, rows, along, start, end, first, last, max_deviation):  # type: ignore[no-untyped-def]
+    """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
+    are left out.
+    """
     x0, y0 = positions[rows[first], 0], positions[rows[first], 1]
     dx, dy = positions[rows[last], 0] - x0, positions[rows[last], 1] - y0
-    limit = max_deviation * max(np.hypot(dx, dy), 1e-6)
+    worst, bend = max_deviation * max(np.hypot(dx, dy), 1e-6), -1
+    low, high = -np.inf, np.inf
     for k in range(start, end):
-        if abs((positions[rows[k], 0] - x0) * dy - (positions[rows[k], 1] - y0) * dx) > limit:
-            return True
-    return False
+        deviation = abs((positions[rows[k], 0] - x0) * dy - (positions[rows[k], 1] - y0) * dx)
+        if deviation > worst:
+            if low == -np.inf:  # few regions bend
+                low, high = _beyond_margins(along, start, end)
+            if low < along[k] < high:
+                worst, bend = deviation, k
+    return bend
 
 
 @njit(cache=True, nogil=True)
-def _farthest(positions, rows, start, end, max_deviation):  # type: ignore[no-untyped-def]
-    """Where to cut pixels sorted along their line: the farthest from the chord if beyond `max_deviation`, else -1."""
-    x0, y0 = positions[rows[start], 0], positions[rows[start], 1]
-    dx, dy = positions[rows[end - 1], 0] - x0, positions[rows[end - 1], 1] - y0
-    length = np.hypot(dx, dy)
-    worst, cut = max_deviation, -1
-    for k in range(start + 4, end - 4):
-        deviation = abs((positions[rows[k], 0] - x0) * dy - (positions[rows[k], 1] - y0) * dx) / max(length, 1e-6)
-        if deviation > worst:
-            worst, cut = deviation, k
-    return cut
+def _beyond_margins(along, start, end):  # type: ignore[no-untyped-def]
+    """The least and the greatest place but for `MARGIN - 1` at each end."""
+    low, high = np.full(MARGIN, np.inf), np.full(MARGIN, -np.inf)  # sorted, the middle of the line last
+    for k in range(start, end):
+        least, greatest = along[k], along[k]
+        for i in range(MARGIN):
+            if least < low[i]:
+                least, low[i] = low[i], least
+            if greatest > high[i]:
+                greatest, high[i] = high[i], greatest
+    return low[MARGIN - 1], high[MARGIN - 1]
+
+
+@njit(cache=True, nogil=True)
+def _divide(rows, along, start, end, place):  # type: ignore[no-untyped-def]
+    """Put the pixels before a place along a region's line first; returns where the others begin."""
+    kept = start
+    for k in range(start, end):
+        if along[k] < place:
+            rows[k], rows[kept] = rows[kept], rows[k]
+            along[k], along[kept] = along[kept], along[k]
+            kept += 1
+    return kept

@@ -61,12 +61,14 @@ def _fold(gray: Any, mean: Any, factor: Any, side: int, planes: Any, middle: Any
     share = ONE / np.float32(side * side)
     for y in range(rows):
         total = middle[y]
-        total[:] = 0
+        for x in range(columns):
+            total[x] = 0
         for dy in range(side):
             line = gray[min(side * y + dy, height - 1)]
             for x in range(width):
                 values[x] = (np.float32(line[x]) - mean) * factor
-            values[width:] = values[width - 1]
+            for x in range(width, len(values)):
+                values[x] = values[width - 1]
             for dx in range(side):
                 out, part = planes[side * dy + dx, y], values[dx::side]
                 for x in range(columns):
@@ -85,13 +87,15 @@ def _box_mean(image: Any, radius: int, out: Any) -> None:
     middle = sums[radius : radius + columns]
     for y in range(rows):
         first, last = max(y - radius, 0), min(y + radius, rows - 1)
-        middle[:] = image[first]
-        for row in range(first + 1, last + 1):
+        for x in range(columns):
+            middle[x] = 0
+        for row in range(first, last + 1):
             line = image[row]
             for x in range(columns):
                 middle[x] += line[x]
         target = out[y]
-        target[:] = 0
+        for x in range(columns):
+            target[x] = 0
         for shift in range(2 * radius + 1):
             moved = sums[shift : shift + columns]
             for x in range(columns):

@@ -39,12 +39,15 @@ def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def
     n, m = votes.shape
     chosen = np.full(n, -1, np.int32)
     pairs, starts = _pairs(votes, least, row_seen, column_seen)
-    by_column = np.argsort(pairs[:, 1], kind="mergesort")
     column_starts = np.zeros(m + 1, np.int64)
     for pair in range(len(pairs)):
         column_starts[pairs[pair, 1] + 1] += 1
     for j in range(m):
         column_starts[j + 1] += column_starts[j]
+    following, by_column = column_starts.copy(), np.empty(len(pairs), np.int64)
+    for pair in range(len(pairs)):
+        by_column[following[pairs[pair, 1]]] = pair
+        following[pairs[pair, 1]] += 1
     rows, columns = np.empty(n, np.int64), np.empty(m, np.int64)
     for first in range(n):
         if row_seen[first] or starts[first] == starts[first + 1]:
@@ -62,8 +65,8 @@ def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def
                 column_seen[j] = True
                 columns[column_count] = j
                 column_count += 1
-                for other in by_column[column_starts[j] : column_starts[j + 1]]:
-                    k = pairs[other, 0]
+                for place in range(column_starts[j], column_starts[j + 1]):
+                    k = pairs[by_column[place], 0]
                     if not row_seen[k]:
                         row_seen[k] = True
                         rows[row_count] = k
