@@ -41,6 +41,8 @@ def build_parser() -> Parser:
     add_dataset(parser)
     parser.add_argument("--preset", default="default", help="default, fast or paper (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
+    runtimes = ["auto", "openvino", "torch", "cuda"]
+    parser.add_argument("--runtime", choices=runtimes, default="auto", help="where the edge network runs")
     parser.add_argument(
         "--predictions",
         type=Path,
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
         name, figures = options.predictions.resolve().name, measure_files(track(samples), options.predictions)
     else:
         name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
-        figures = measure(track(samples), _detector(options.preset, options.weights))
+        figures = measure(track(samples), _detector(options))
     console = Console()
     for table in tables(name, figures):
         console.print(table)
@@ -79,16 +81,16 @@ def run(options: argparse.Namespace) -> None:
     write_json(options.json, {"images": len(samples), **figures})
 
 
-def _detector(preset: str, weights: str | None) -> Detect:
+def _detector(options: argparse.Namespace) -> Detect:
     import msgspec
 
     from airline.config import preset as settings_of
     from airline.detector import AirLine
 
-    config = settings_of(preset)
-    if weights is not None:
-        config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=weights))
-    detector = AirLine(config=config)
+    config = settings_of(options.preset)
+    if options.weights is not None:
+        config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=options.weights))
+    detector = AirLine(config=config, runtime=options.runtime)
     return lambda image: detector(image).segments
 
 
