@@ -23,7 +23,8 @@ LIMIT = np.float32(6.28)
 
 def folded_size(spec: UNetSpec, height: int, width: int) -> tuple[int, int]:
     """Rows and columns of the network's first level for an image of a size, filled up to the network's stride."""
-    return tuple(-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))  # type: ignore[return-value]
+    rows, columns = (-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))
+    return rows, columns
 
 
 def fold(gray: Gray, spec: UNetSpec) -> NDArray[np.float32]:
