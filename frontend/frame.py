@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.image import Gray, to_gray
 from frontend.camera import CameraModel
+
+if TYPE_CHECKING:
+    from airline.image import Gray
 
 
 @dataclass(frozen=True)
@@ -35,4 +38,6 @@ class Frame:
         Raises:
             InputError: the image is none that `airline` takes.
         """
+        from airline.image import to_gray  # brings OpenCV, which a reader of tracks need not load
+
         return to_gray(self.image)

@@ -128,8 +128,8 @@ def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
     sink = RerunSink(
         save=tmp_path / "run.rrd", image="video", video=write_video(tmp_path / "clip.mp4", size=(160, 120))
     )
-    sink.write(next(frame_results(1)))
-    with pytest.raises(ConfigError, match="another size"):
+    with pytest.raises(ConfigError, match="another size"):  # in the background: as soon as it is known
+        sink.write(next(frame_results(1)))
         sink.close()
     sink.close()
 
