@@ -128,9 +128,13 @@ def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
     sink = RerunSink(
         save=tmp_path / "run.rrd", image="video", video=write_video(tmp_path / "clip.mp4", size=(160, 120))
     )
-    with pytest.raises(ConfigError, match="another size"):  # in the background: as soon as it is known
+
+    def show() -> None:
         sink.write(next(frame_results(1)))
         sink.close()
+
+    with pytest.raises(ConfigError, match="another size"):  # as soon as the thread behind `write` has told
+        show()
     sink.close()
 
 
