@@ -151,23 +151,23 @@ def peak_products_per_ms() -> float:
     precision = OpenVinoNetwork("fast").name.split()[-1]
     options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": precision}
     request = ov.Core().compile_model(ov.Model([layers], [image], "peak"), "CPU", options).create_infer_request()
-    return 4 * side * side * channels * channels * 9 / _median_ms(request.infer)
+    return 4 * side * side * channels * channels * 9 / _least_ms(request.infer)
 
 
 def copied_bytes_per_ms() -> float:
     """Bytes read plus bytes written per millisecond by a copy that no cache of a core holds."""
     source = np.ones(16 << 20, np.uint8)
     target = np.empty_like(source)
-    return 2 * source.nbytes / _median_ms(lambda: np.copyto(target, source))
+    return 2 * source.nbytes / _least_ms(lambda: np.copyto(target, source))
 
 
-def _median_ms(call: Callable[[], Any], times: int = 15) -> float:
+def _least_ms(call: Callable[[], Any], times: int = 30) -> float:
     spent = []
     for _ in range(times):
         started = time.perf_counter()
         call()
         spent.append(1e3 * (time.perf_counter() - started))
-    return float(np.median(spent))
+    return min(spent)
 
 
 def floor_text(spec: UNetSpec, network_ms: float) -> str:
