@@ -109,8 +109,8 @@ def draw(sizes: Sequence[Point], pictures: Sequence[Point]) -> Figure:
         x = [getattr(point, place) for point in ordered]
         for colour, marker, name, value in CURVES:
             y = [getattr(point, value) / unit for point in ordered]
-            line = "-" if axes is left else ""  # pictures with as many lines are not alike
-            axes.plot(x, y, line, color=colour, marker=marker, label=name)
+            line = "-" if axes is left else "none"  # pictures with as many lines are not alike
+            axes.plot(x, y, linestyle=line, color=colour, marker=marker, label=name)
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
     left.legend(fontsize=8)
