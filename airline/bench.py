@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> None:
     pictures = load_pictures(options.images, options.size)
     detector = AirLine(options.preset, runtime=options.runtime)
     figures = measure(detector, pictures, options.rounds)
-    figures = {"preset": options.preset, "runtime": _name(detector), "size": options.size, **figures}
+    figures = {"preset": options.preset, "runtime": runtime_name(detector), "size": options.size, **figures}
     print(as_text(figures))
     write_json(options.json, figures)
 
@@ -143,7 +143,8 @@ def _limit_cores(threads: int | None) -> None:
     os.environ["OMP_NUM_THREADS"] = str(threads)
 
 
-def _name(detector: AirLine) -> str:
+def runtime_name(detector: AirLine) -> str:
+    """What the detector's edges come from: a runtime and its precision, or a class."""
     network = getattr(detector.edges, "network", None)
     return network.name if network is not None else type(detector.edges).__name__
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from airline.bench import load_pictures, measure
+from airline.bench import load_pictures, measure, runtime_name
 from airline.command import Parser, exit_code
 from airline.errors import ConfigError, InputError
 from airline.plots import COLOURS, DPI, new_axes
@@ -33,7 +33,7 @@ SIZES = ["320x240", "640x480", "1280x720", "1920x1080"]
 LINES_AT = "640x480"
 KINDS = ("indoor", "street", "shelves")
 SEEDS = range(12, 18)
-HALF_PRECISION = 2  # bytes of an activation
+BYTES = {"bf16": 2, "f32": 4}  # of an activation
 CONVOLUTION = 256, 64  # channels and side of the one that measures the peak
 
 CURVES = (
@@ -118,7 +118,7 @@ def draw(sizes: Sequence[Point], pictures: Sequence[Point]) -> Figure:
 
 
 def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
-    """Multiplications of the network for one image, and bytes that its convolutions read and write."""
+    """Multiplications of the network for one image, and numbers that its convolutions read and write."""
     from airline.runtimes.fold import folded_size
 
     rows, columns = folded_size(spec, height, width)
@@ -131,16 +131,14 @@ def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
         halvings = int(level.split(".")[0]) + (part == "lateral") if level else 0
         pixels = (rows >> halvings) * (columns >> halvings)
         products += pixels * outputs * inputs * side * side
-        moved += pixels * (outputs + inputs) * HALF_PRECISION
+        moved += pixels * (outputs + inputs)
     return float(products), float(moved)
 
 
-def peak_products_per_ms() -> float:
-    """Multiplications per millisecond of a large convolution in OpenVINO, in the network's precision."""
+def peak_products_per_ms(precision: str) -> float:
+    """Multiplications per millisecond of a large convolution in OpenVINO, "bf16" or "f32"."""
     import openvino as ov
     from openvino import opset13 as op
-
-    from airline.runtimes.openvino_cpu import OpenVinoNetwork
 
     channels, side = CONVOLUTION
     image = op.parameter([1, channels, side, side], np.float32)
@@ -148,7 +146,6 @@ def peak_products_per_ms() -> float:
     layers: Any = image
     for _ in range(4):  # in a row, so that what is converted at both ends does not count much
         layers = op.convolution(layers, kernel, [1, 1], [1, 1], [1, 1], [1, 1])
-    precision = OpenVinoNetwork("fast").name.split()[-1]
     options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": precision}
     request = ov.Core().compile_model(ov.Model([layers], [image], "peak"), "CPU", options).create_infer_request()
     return 4 * side * side * channels * channels * 9 / _least_ms(request.infer)
@@ -170,10 +167,11 @@ def _least_ms(call: Callable[[], Any], times: int = 30) -> float:
     return min(spent)
 
 
-def floor_text(spec: UNetSpec, network_ms: float) -> str:
+def floor_text(spec: UNetSpec, precision: str, network_ms: float) -> str:
     """The floor of the network at 640x480, as lines of text."""
-    products, moved = layer_costs(spec, 480, 640)
-    peak, bandwidth = peak_products_per_ms(), copied_bytes_per_ms()
+    products, numbers = layer_costs(spec, 480, 640)
+    moved = numbers * BYTES[precision]
+    peak, bandwidth = peak_products_per_ms(precision), copied_bytes_per_ms()
     return "\n".join(
         [
             f"network at 640x480: {network_ms:.2f} ms with its input and output",
@@ -211,9 +209,11 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"cannot write {options.out}: give a name that ends with .png in a folder that exists")
     detector = AirLine(options.preset, runtime="openvino")
     sizes = over_sizes(detector, options.size, options.images, options.rounds)
-    draw(sizes, over_lines(detector, options.images, options.rounds)).savefig(
-        options.out, dpi=DPI, metadata={"Software": None}
-    )
+    figure = draw(sizes, over_lines(detector, options.images, options.rounds))
+    try:
+        figure.savefig(options.out, dpi=DPI, metadata={"Software": None})
+    except OSError as error:
+        raise InputError(f"cannot write {options.out} ({error.strerror}): give another --out") from None
     print("size       lines  network ms  other stages ms   LSD ms  LSD / ours")
     for point in sizes:
         row = f"{point.size:10}{point.lines:6.0f}{point.network_ms:12.2f}{point.back_end_ms:17.2f}"
@@ -221,7 +221,7 @@ def run(options: argparse.Namespace) -> None:
     spec, _ = load_weights(preset(options.preset).edges.weights)
     network = next((point.network_ms for point in sizes if point.size == "640x480"), None)
     if network is not None:
-        print(floor_text(spec, network))
+        print(floor_text(spec, runtime_name(detector).split()[-1], network))
     print(f"wrote {options.out}")
 
 

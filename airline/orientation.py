@@ -46,7 +46,7 @@ def line_kernels(channels: int, size: int) -> NDArray[np.float32]:
     return kernels
 
 
-NOTHING = np.float32(1e-12)  # squared length of a descriptor that rounding errors make out
+NOTHING = 1e-24  # squared length of a descriptor that rounding errors make out
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean):  # ty
     """`offsets` are the taps (y, x) as places in the flat map, per channel; tuples, since loops over those unroll."""
     channels, half = len(offsets), taps.shape[1] // 2
     out = np.empty((len(pixels), channels), np.float32)
-    answer = np.empty(channels, np.float32)
+    answer = np.empty(channels)  # double precision: little may be left when the mean is taken away
     for k in range(len(pixels)):
         x, y = pixels[k, 0], pixels[k, 1]
-        mean = np.float32(0)
+        mean = 0.0
         if half <= x < width - half and half <= y < height - half:
             place = y * width + x
             for n in range(len(offsets)):
-                total = np.float32(0)
+                total = 0.0
                 for i in range(len(offsets[0])):
                     total += flat[np.uint64(place + offsets[n][i])]
                 answer[n] = total
@@ -120,12 +120,12 @@ def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean):  # ty
                     if 0 <= row < height and 0 <= column < width:
                         answer[n] += flat[row * width + column]
                 mean += answer[n]
-        mean = mean / np.float32(channels) if subtract_mean else np.float32(0)
-        squared = np.float32(0)
+        mean = mean / channels if subtract_mean else 0.0
+        squared = 0.0
         for n in range(len(offsets)):
             answer[n] -= mean
             squared += answer[n] * answer[n]
-        scale = np.float32(1) / np.sqrt(squared) if squared > NOTHING else np.float32(0)
+        scale = 1 / np.sqrt(squared) if squared > NOTHING else 0.0
         for n in range(len(offsets)):
             out[k, n] = answer[n] * scale
     return out

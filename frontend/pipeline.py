@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from itertools import chain
 from os import PathLike
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,20 @@ from frontend.stages import pipelined
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
 
+if TYPE_CHECKING:
+    from frontend.settings import RunConfig
+
 
 def network_threads() -> int:
     """Cores for the edge network when the other stages work beside it: half of them."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, cores // 2)
+
+
+def open_frontend(config: RunConfig) -> LineFrontend:
+    """Detector and tracker of a run's settings, which leave the input's aside."""
+    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
+    return LineFrontend(detector, LineTracker(config.tracker))
 
 
 class LineFrontend:

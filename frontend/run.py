@@ -258,15 +258,12 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     Sinks are opened when the first frame has been read, so that a bad input leaves earlier output files alone, and
     are closed whatever happens.
     """
-    from airline.detector import AirLine
-    from frontend.pipeline import LineFrontend, network_threads
+    from frontend.pipeline import open_frontend
     from frontend.protocols import is_live
     from frontend.sources.fresh import FreshFrames
     from frontend.summary import SummaryCounter
-    from frontend.tracker import LineTracker
 
-    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
-    frontend = LineFrontend(detector, LineTracker(config.tracker))
+    frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
     fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
     sinks: list[Sink] = []

@@ -90,20 +90,12 @@ def compare(a: str, b: str, source: Source | None, open_stream: Callable[[], rr.
 
 def open_streams(a: str, b: str, source: Source | None) -> list[Iterator[Moment]]:
     """The input with the runs on it, then the files."""
+    from frontend.pipeline import open_frontend
+
     runs = [open_frontend(config_of(spec)) for spec in (a, b) if not is_track_file(spec)]
     files = [Path(spec) for spec in (a, b) if is_track_file(spec)]
     streams = [] if source is None else [run_moments(source, runs)]
     return streams + [file_moments(path, with_images=source is None) for path in files]
-
-
-def open_frontend(config: RunConfig) -> LineFrontend:
-    """Detector and tracker; the settings of the input do not count, as both runs get the same frames."""
-    from airline.detector import AirLine
-    from frontend.pipeline import LineFrontend, network_threads
-    from frontend.tracker import LineTracker
-
-    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
-    return LineFrontend(detector, LineTracker(config.tracker))
 
 
 def run_moments(source: Source, frontends: Sequence[LineFrontend]) -> Iterator[Moment]:
