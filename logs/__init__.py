@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from logs.read import read_tracks
     from logs.sinks.mcap_tracks import McapTrackSink
+    from logs.sinks.parquet import ParquetTrackSink
     from logs.source import LogImageSource, McapImageSource
     from logs.stamps import TimeSource
 
-__all__ = ["LogImageSource", "McapImageSource", "McapTrackSink", "open_images", "read_tracks"]
+__all__ = ["LogImageSource", "McapImageSource", "McapTrackSink", "ParquetTrackSink", "open_images", "read_tracks"]
 
 # Loaded on first use: OpenCV and the readers of all the formats take time to import.
 _MODULES = {
     "LogImageSource": "logs.source",
     "McapImageSource": "logs.source",
     "McapTrackSink": "logs.sinks.mcap_tracks",
+    "ParquetTrackSink": "logs.sinks.parquet",
     "read_tracks": "logs.read",
 }
 
