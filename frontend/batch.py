@@ -12,7 +12,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -100,29 +100,32 @@ def _run(
     with reserved(out):
         plan = make_plan(paths, out.absolute(), recipe, overwrite=overwrite)
         if plan.outdated:
-            log.warning("%d recordings or their settings have changed since: running them again", plan.outdated)
-        report = Report(out / REPORT, plan.rows)
-        interrupted = False
-        try:
-            with (
-                closing(_open_workers(workers, ray, recipe, len(plan.jobs))) as pool,
-                progress("batch", len(plan.jobs), unit="recordings") as advance,
-            ):
-                for row in run_all(plan.jobs, pool):
-                    for warning in row.warnings:
-                        log.warning("%s: %s", row.name, warning)
-                    report.update(row)
-                    advance()
-        except KeyboardInterrupt:
-            interrupted = True
-            log.warning("interrupted: what was finished is kept, and the same command goes on from there")
-        finally:
-            report.write()
+            log.warning("running again, as input or settings have changed: %d", plan.outdated)
+        with closing(_open_workers(workers, ray, recipe, len(plan.jobs))) as pool:
+            report = Report(out / REPORT, plan.rows)
+            interrupted = _collect(run_all(plan.jobs, pool), report, len(plan.jobs))
     return report, interrupted
 
 
+def _collect(rows: Iterable[Row], report: Report, total: int) -> bool:
+    """Bring the report up to date as recordings end; whether Ctrl-C came before the last one."""
+    try:
+        with progress("batch", total, unit="recordings") as advance:
+            for row in rows:
+                for warning in row.warnings:
+                    log.warning("%s: %s", row.name, warning)
+                report.update(row)
+                advance()
+    except KeyboardInterrupt:
+        log.warning("interrupted: what was finished is kept, and the same command goes on from there")
+        return True
+    finally:
+        report.write()
+    return False
+
+
 def _open_workers(workers: int | None, ray: str | None, recipe: Recipe, jobs: int) -> Workers:
-    if ray is not None:
+    if ray is not None and jobs:
         from frontend.fleet.ray_cluster import RayWorkers
 
         return RayWorkers(ray, recipe)

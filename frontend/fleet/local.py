@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
@@ -104,6 +105,7 @@ def _end(worker: _Worker) -> str:
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
     """Processes that start inside the block never see Ctrl-C, which goes to all of a terminal: we end them."""
+    resource_tracker.ensure_running()  # or it would start with the first process, and let interrupts through
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

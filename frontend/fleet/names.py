@@ -15,7 +15,7 @@ _LONGEST = 150  # bytes; file systems allow 255, and an unfinished folder's name
 def unique_names(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[Path, str]:
     """A folder name for each recording: as short as is distinct, whatever their order.
 
-    `a/x.mcap` becomes `x`; beside `a/x.bag` it becomes `x.mcap`, beside `b/x.mcap` it becomes `a-x`. Names differ by
+    `a/x.mcap` becomes `x`; beside `b/x.mcap` it becomes `a-x`, beside `a/x.bag` it becomes `x.mcap`. Names differ by
     more than upper and lower case.
 
     Args:
@@ -34,10 +34,9 @@ def unique_names(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[Path,
 def _choices(path: Path) -> Iterator[str]:
     """From short to long; the last one belongs to this path alone."""
     stem = path.name if path.is_dir() else path.stem
-    for depth in range(len(path.parts)):
-        above = path.parts[-1 - depth : -1]
-        for name in dict.fromkeys((stem, path.name)):
-            joined = _clean("-".join((*above, name)))
+    for name in dict.fromkeys((stem, path.name)):
+        for depth in range(len(path.parts)):
+            joined = _clean("-".join((*path.parts[-1 - depth : -1], name)))
             if len(joined.encode()) <= _LONGEST:
                 yield joined
     yield f"recording-{hashlib.sha256(os.fsencode(path)).hexdigest()}"

@@ -84,16 +84,13 @@ def _import_ray() -> Any:
 def _connect(ray: Any, address: str) -> None:
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if address == "local":
-        os.environ.setdefault("RAY_AUTH_MODE", "token")
         options |= {"include_dashboard": False, "object_store_memory": _OBJECT_STORE_BYTES}
         options |= {"_node_ip_address": "127.0.0.1"}
     elif address != "auto":
         _check_reachable(address)
     try:
         ray.init(address, **options)
-    except ImportError:
-        raise ConfigError("addresses with ray:// need Ray's client: pip install 'ray[client]'") from None
-    except (OSError, RuntimeError, ValueError) as error:
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
         raise InputError(f"cannot use Ray at '{address}': {_first_line(error)}") from None
 
 
@@ -109,4 +106,5 @@ def _check_reachable(address: str) -> None:
 
 
 def _first_line(error: BaseException) -> str:
-    return f"{type(error).__name__}: {(str(error).strip() or '?').splitlines()[0]}"
+    lines = str(error).strip().splitlines()
+    return ": ".join([type(error).__name__, *lines[:1]]).rstrip(".")
