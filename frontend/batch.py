@@ -113,7 +113,7 @@ def _collect(rows: Iterable[Row], report: Report, total: int) -> bool:
         with progress("batch", total, unit="recordings") as advance:
             for row in rows:
                 for warning in row.warnings:
-                    log.warning("%s: %s", row.name, warning)
+                    log.warning("%s", warning if warning.startswith(row.name) else f"{row.name}: {warning}")
                 report.update(row)
                 advance()
     except KeyboardInterrupt:
@@ -147,7 +147,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "inputs", nargs="+", metavar="RECORDING", help="videos, logs, bag folders, image folders, and globs of such"
     )
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice for debugging")
     output = parser.add_argument_group("output")
     output.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of all results")
     output.add_argument(
@@ -171,7 +170,7 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     options = build_parser().parse_args(arguments)
-    set_up_logging(options.verbose)
+    set_up_logging(0)
     try:
         from rich.console import Console
 

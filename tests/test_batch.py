@@ -18,6 +18,7 @@ import pytest
 from airline.errors import AirLineError
 from frontend.batch import main, run_batch
 from frontend.fleet.job import OUTPUTS, Job, Recipe, run_job
+from frontend.fleet.plan import reserved
 from frontend.settings import RunConfig
 from tests.batch_logs import camera_log, report_of, visible
 from tests.camera_logs import text, write_log
@@ -172,6 +173,15 @@ def test_unexpected_errors_are_reasons_too(tmp_path: Path, monkeypatch: pytest.M
     assert (row.status, row.reason) == ("failed", "ZeroDivisionError: first second")
     assert row.warnings == ("/a.mcap looks odd",)
     assert not list(tmp_path.iterdir())
+
+
+def test_two_batches_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").write_bytes(b"")
+    out = tmp_path / "out"
+    with reserved(out):
+        outcome = batch(tmp_path / "log.mcap", "--out", out)
+        assert (outcome.code, "another batch" in outcome.err) == (2, True)
+    assert batch(tmp_path / "log.mcap", "--out", out).code == 1
 
 
 @pytest.mark.parametrize(

@@ -155,10 +155,10 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
             else:
                 yield open_track_sink(f"{kind}:{path}")
 
-    started = time.perf_counter()
     detector = _detector(config.detector, config.runtime, network_threads(recipe.cores))
     frontend = LineFrontend(detector, LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
+    started = time.perf_counter()
     source = open_input(job.input, config)
     push(source, frontend, open_sinks, counter, serial=config.serial)
     figures = counter.summary(source.skipped)

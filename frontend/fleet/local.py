@@ -81,7 +81,7 @@ class LocalWorkers:
     def _new_worker(self) -> _Worker:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, *self._arguments))
+        process = context.Process(target=_serve, args=(theirs, *self._arguments), daemon=True)
         with _interrupts_held():
             process.start()
         theirs.close()  # or its end would not be seen

@@ -42,7 +42,8 @@ def make_plan(paths: Sequence[Path], out: Path, recipe: Recipe, *, overwrite: bo
     """Compare the recordings with the results that are there.
 
     A recording that has results keeps its name; the others get names that no folder has. Results count when they were
-    made from a file of the same path, size and time of change, with the same settings.
+    made from a file of the same path, size and time of change, with the same settings, be it by an older version of
+    this package.
 
     Args:
         paths: of the recordings, absolute.
@@ -127,6 +128,8 @@ def _results(out: Path) -> dict[str, tuple[str, dict[str, Any]]]:
     """Name and summary of the results that are there, by the path of their recording."""
     found = {}
     for path in sorted(out.glob(f"*/{SUMMARY}")):
+        if path.parent.name.startswith("."):
+            continue
         try:
             summary = json.loads(path.read_text(encoding="utf-8"))
             found[summary["made_from"]["input"]["path"]] = path.parent.name, summary

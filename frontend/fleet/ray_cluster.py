@@ -63,7 +63,7 @@ class RayWorkers:
         try:
             row: Row = self._ray.get(task)
         except self._ray.exceptions.RayTaskError as error:  # such as a node without this package
-            return Died(f"its Ray task failed with {_first_line(error.cause)}")
+            return Died(f"its Ray task failed with {_first_line(error.cause or error)}")
         except self._ray.exceptions.RayError as error:
             return Died(f"its Ray worker ended: {_first_line(error)}")
         return row
