@@ -115,7 +115,7 @@ def run(options: argparse.Namespace) -> None:
     config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": CLIP_FRAMES}})
     clips = load_clips(options.input, options.size, config)
     sizes: dict[str, Figures] = {}
-    with progress("runs", len(clips) * ROUNDS * len(RUNS)) as advance:
+    with progress("runs", len(clips) * ROUNDS * len(RUNS), unit="runs") as advance:
         for size, files in clips.items():
             sizes[size] = measure(ClipSource(files, options.frames), config, advance)
     Console().print(table(sizes))

@@ -42,6 +42,19 @@ def build_parser() -> argparse.ArgumentParser:
     output.add_argument("--overwrite", action="store_true", help="replace what --out names if it exists")
     output.add_argument("--with-images", action="store_true", help="put the images into --out FILE.mcap")
     output.add_argument("--labels", action="store_true", help="write the ids beside the lines of --out FILE.mcap")
+    live = parser.add_argument_group("live sources")
+    live.add_argument(
+        "--max-latency", type=float, metavar="S", help="drop a live source's frames that have waited longer (0.2)"
+    )
+    add_settings(parser)
+    instead = parser.add_argument_group("instead of a run")
+    instead.add_argument("--list-topics", action="store_true", help="print image and calibration topics and exit")
+    instead.add_argument("--dump-config", action="store_true", help="print all settings as TOML and exit")
+    return parser
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """The flags that `settings_of` reads, for every command that runs the frontend over recordings."""
     recording = parser.add_argument_group("recording")
     recording.add_argument("--blueprint", choices=["minimal", "full"], help="how much the viewer shows")
     recording.add_argument(
@@ -61,12 +74,8 @@ def build_parser() -> argparse.ArgumentParser:
     frames.add_argument("--max-frames", type=int, metavar="N", help="stop after N frames")
     frames.add_argument("--resize", metavar="WxH", help="resize frames, e.g. 640x480, or 640 to keep the aspect")
     frames.add_argument("--fps", type=float, help="frame rate of image folders without timestamps")
-    frames.add_argument(
-        "--max-latency", type=float, metavar="S", help="drop a live source's frames that have waited longer (0.2)"
-    )
     logs = parser.add_argument_group("logs")
     logs.add_argument("--topic", help="image topic")
-    logs.add_argument("--list-topics", action="store_true", help="print image and calibration topics and exit")
     logs.add_argument("--time-source", choices=["header", "publish", "log"], help="where times come from")
     camera = parser.add_argument_group("camera")
     camera.add_argument(
@@ -82,15 +91,13 @@ def build_parser() -> argparse.ArgumentParser:
     settings.add_argument(
         "--serial", action="store_const", const=True, help="do one thing after the other in one thread, for debugging"
     )
-    settings.add_argument("--dump-config", action="store_true", help="print all settings as TOML and exit")
-    return parser
 
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """The flags that were given, in the settings' own structure."""
     frames = ("start", "end", "stride", "max_frames", "resize", "fps", "max_latency")
     names = (*frames, "topic", "time_source", "calib", "undistort")
-    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    given = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}
     recorded = {
         "image": options.log_image,

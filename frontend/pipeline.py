@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Generator, Iterator
 from itertools import chain
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from airline.detector import AirLine
 from airline.image import Gray
 from airline.trace import Trace
+from frontend.cores import network_threads
 from frontend.frame import Frame
 from frontend.protocols import FrameResult, Source, is_live
 from frontend.sources.fresh import MAX_LATENCY_S, FreshFrames
@@ -24,12 +24,6 @@ from frontend.tracks import LineTracks
 
 if TYPE_CHECKING:
     from frontend.settings import RunConfig
-
-
-def network_threads() -> int:
-    """Cores for the edge network when the other stages work beside it: half of them."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // 2)
 
 
 def open_frontend(config: RunConfig) -> LineFrontend:

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from frontend.frame import Frame
+    from frontend.pipeline import LineFrontend
     from frontend.protocols import Sink, Source
     from frontend.settings import RunConfig
-    from frontend.summary import Summary
+    from frontend.summary import Summary, SummaryCounter
     from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
@@ -266,33 +267,17 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
     fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
-    sinks: list[Sink] = []
     ready = False
     code = 0
 
-    def prepare(frame: Frame) -> None:
+    def open_all() -> Iterator[Sink]:
         nonlocal ready
-        frontend.warm_up(frame.image)
-        for sink in open_sinks():
-            closing_all.callback(sink.close)
-            sinks.append(sink)
-        counter.start()
+        yield from open_sinks()
         ready = True
 
     try:
-        with (
-            progress(source.name, source.frame_count) as advance,
-            closing(fresh or source),
-            ExitStack() as closing_all,
-            closing(frontend.results(fresh or source, serial=config.serial, prepare=prepare)) as results,
-        ):
-            for result in results:
-                started = time.perf_counter()
-                for sink in sinks:
-                    sink.write(result)
-                counter.add(result)
-                counter.add_time({"sinks": 1e3 * (time.perf_counter() - started)})
-                advance()
+        with progress(source.name, source.frame_count) as advance:
+            push(fresh or source, frontend, open_all, counter, serial=config.serial, advance=advance)
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
         log.warning("interrupted: what was done so far is kept")
@@ -302,9 +287,60 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
         code = EXIT_USER_ERROR
         print(f"error: {error}", file=sys.stderr)
     summary = counter.summary(source.skipped, fresh.dropped if fresh else 0)
-    if not summary.frames and code == 0:
-        raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
+    if code == 0:
+        check_frames(source, summary)
     return code, summary
+
+
+def push(
+    source: Source,
+    frontend: LineFrontend,
+    open_sinks: Callable[[], Iterable[Sink]],
+    counter: SummaryCounter,
+    *,
+    serial: bool = False,
+    advance: Callable[[], None] = lambda: None,
+) -> None:
+    """Push every frame through detector, tracker, sinks and counter, then close the source and the sinks.
+
+    Args:
+        source: the frames; closed whatever happens.
+        frontend: detector and tracker.
+        open_sinks: called when the first frame has been read; what it yields is closed whatever happens.
+        counter: counts the frames, from when the sinks are open.
+        serial: see `LineFrontend.results`.
+        advance: called after each frame.
+
+    Raises:
+        AirLineError: the source or a sink cannot be used, or not any longer.
+    """
+    sinks: list[Sink] = []
+
+    def prepare(frame: Frame) -> None:
+        frontend.warm_up(frame.image)
+        for sink in open_sinks():
+            closing_all.callback(sink.close)
+            sinks.append(sink)
+        counter.start()
+
+    with (
+        closing(source),
+        ExitStack() as closing_all,
+        closing(frontend.results(source, serial=serial, prepare=prepare)) as results,
+    ):
+        for result in results:
+            started = time.perf_counter()
+            for sink in sinks:
+                sink.write(result)
+            counter.add(result)
+            counter.add_time({"sinks": 1e3 * (time.perf_counter() - started)})
+            advance()
+
+
+def check_frames(source: Source, summary: Summary) -> None:
+    """Refuse to call it a run when there was no frame; raises InputError."""
+    if not summary.frames:
+        raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
 
 
 def main(arguments: list[str] | None = None) -> int:

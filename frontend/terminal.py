@@ -11,12 +11,13 @@ from airline.command import StderrHandler
 
 
 @contextmanager
-def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
+def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Callable[[], None]]:
     """A progress bar with frames/s on stderr; none where that is no terminal. Yields what to call per frame.
 
     Args:
         name: shown before the bar.
         total: number of frames to come, or None where nobody knows.
+        unit: what is counted, where that is not frames.
     """
     if not sys.stderr.isatty():
         yield lambda: None
@@ -36,7 +37,7 @@ def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
     class Rate(ProgressColumn):
         def render(self, task: Task) -> Text:
             speed = task.finished_speed or task.speed
-            return Text(f"{speed:.1f} frames/s" if speed else "")
+            return Text(f"{speed:.1f} {unit}/s" if speed else "")
 
     title = TextColumn("{task.description}", markup=False)  # a file name may hold brackets
     columns = (title, BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())

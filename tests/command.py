@@ -45,11 +45,11 @@ def command(*arguments: object) -> Outcome:
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
-def python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """Start the command line in a process of its own, with SIGINT as in a foreground job of a shell."""
+def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
+    """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
     start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    start += "runpy.run_module('frontend.run', run_name='__main__', alter_sys=True)"
+    start += f"runpy.run_module('{module}', run_name='__main__', alter_sys=True)"
     return subprocess.Popen([sys.executable, "-c", start, *map(str, arguments)], env=environment, text=True, **options)
 
 
