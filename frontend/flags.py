@@ -62,6 +62,9 @@ def build_parser() -> argparse.ArgumentParser:
     frames.add_argument("--resize", metavar="WxH", help="resize frames, e.g. 640x480, or 640 to keep the aspect")
     frames.add_argument("--fps", type=float, help="frame rate of image folders without timestamps")
     frames.add_argument(
+        "--realtime", action="store_const", const=True, help="play a recording at its own pace, as a camera would"
+    )
+    frames.add_argument(
         "--max-latency", type=float, metavar="S", help="drop a live source's frames that have waited longer (0.2)"
     )
     logs = parser.add_argument_group("logs")
@@ -88,7 +91,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """The flags that were given, in the settings' own structure."""
-    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "max_latency")
+    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "realtime", "max_latency")
     names = (*frames, "topic", "time_source", "calib", "undistort")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}

@@ -35,6 +35,7 @@ EXIT_INTERRUPTED = 130
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
     """The frames that the input, the camera and the frame settings stand for."""
+    from frontend.protocols import is_live
     from frontend.select import select_frames
     from frontend.undistort import with_camera
 
@@ -46,7 +47,7 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         camera = read_calibration(chosen.calib)
     opened = open_source_of(spec, config)
     try:
-        return select_frames(
+        selected = select_frames(
             with_camera(opened, camera, undistort=chosen.undistort),
             start_s=chosen.start,
             end_s=chosen.end,
@@ -57,6 +58,11 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     except AirLineError:
         opened.close()
         raise
+    if not chosen.realtime or is_live(selected):
+        return selected
+    from frontend.sources.realtime import RealtimeSource
+
+    return RealtimeSource(selected, ahead=spec is None)  # the built-in clip takes longer to render than to play
 
 
 def open_source_of(spec: str | None, config: RunConfig) -> Source:
@@ -265,7 +271,9 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
 
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
-    fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
+    fresh = None
+    if is_live(source) and not config.serial:
+        fresh = FreshFrames(source, config.input.max_latency, hold=config.input.realtime)
     sinks: list[Sink] = []
     ready = False
     code = 0
