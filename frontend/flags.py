@@ -39,9 +39,17 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="TRACKS",
         help="write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/ or plvins.mcap; may be given several times",
     )
+    output.add_argument(
+        "--publish",
+        action="append",
+        default=[],
+        metavar="ADDR",
+        help="send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "
+        "ws://127.0.0.1:8765 (Foxglove); may be given several times",
+    )
     output.add_argument("--overwrite", action="store_true", help="replace what --out names if it exists")
     output.add_argument("--with-images", action="store_true", help="put the images into --out FILE.mcap")
-    output.add_argument("--labels", action="store_true", help="write the ids beside the lines of --out FILE.mcap")
+    output.add_argument("--labels", action="store_true", help="write the ids beside the lines, in Foxglove")
     recording = parser.add_argument_group("recording")
     recording.add_argument("--blueprint", choices=["minimal", "full"], help="how much the viewer shows")
     recording.add_argument(

@@ -104,6 +104,7 @@ def check_distinct(spec: str | None, outputs: list[Path]) -> None:
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C; print and write the summary; returns the exit code."""
+    from logs.live.address import open_publisher, parse_address
     from logs.sinks.open import check, kind_and_path, open_track_sink
 
     video = video_to_log(options.input, config)
@@ -111,11 +112,14 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     check_output(options.summary, "--summary", ".json")
     for spec in options.out:
         check(spec, overwrite=options.overwrite)
+    for address in options.publish:
+        parse_address(address)
     outputs = [kind_and_path(spec)[1] for spec in options.out]
     check_distinct(options.input, [path for path in (options.save, options.summary, *outputs) if path is not None])
 
     def open_sinks() -> Iterator[Sink]:
         """One by one, so that those already open are closed when the next one fails."""
+        yield from publishers  # first, so that nobody there waits for the others
         for spec in options.out:
             yield open_track_sink(
                 spec, overwrite=options.overwrite, with_images=options.with_images, labels=options.labels
@@ -125,7 +129,13 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
 
     with ExitStack() as serving:
         server = serving.enter_context(web_viewer()) if options.serve else None
-        with closing(open_input(options.input, config)) as source:
+        with closing(open_input(options.input, config)) as source, ExitStack() as publishing:
+            publishers = [
+                publishing.enter_context(closing(open_publisher(address, source.name, labels=options.labels)))
+                for address in options.publish
+            ]
+            for publisher in publishers:
+                print(f"publishing at {publisher.address}", flush=True)
             save, viewer = where_to_record(options, source.name, server)
             code, summary = process(source, config, open_sinks)
         report(options, save, summary)
@@ -213,8 +223,9 @@ def where_to_record(
 ) -> tuple[Path | None, str | None]:
     """The file to save and the address of a viewer: the one that was asked for, or a window where one can open.
 
-    Without either the recording goes to a file named after the input, unless --out says where results go.
+    Without either the recording goes to a file named after the input, unless --out or --publish says where results go.
     """
+    elsewhere = options.out or options.publish
     if options.connect is not None or server is not None:
         return options.save, options.connect if server is None else server.stream
     if options.spawn or (options.save is None and not options.headless and not options.serve and has_display()):
@@ -223,11 +234,11 @@ def where_to_record(
         viewer = open_viewer()
         if viewer is not None:
             return options.save, viewer
-        saved = options.save is not None or options.out
+        saved = options.save is not None or elsewhere
         log.warning("no viewer window could be opened%s", "" if saved else f": saving {name}.rrd instead")
     if options.save is not None:
         return options.save, None
-    return (None if options.out else Path(f"{name}.rrd")), None
+    return (None if elsewhere else Path(f"{name}.rrd")), None
 
 
 def open_recording(
