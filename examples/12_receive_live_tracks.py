@@ -52,6 +52,7 @@ except zmq.Again:
     sys.exit(f"nothing came from {address}")
 finally:
     if publisher is not None:
+        publisher.terminate()
         publisher.communicate()
 print(f"received {len(latencies)} frames, lost {lost}; all but the first, which waited until everything was ready:")
 for name, values in {"from frame to message": latencies[1:], "of these, on the way": transports[1:]}.items():

@@ -278,13 +278,14 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     from frontend.pipeline import open_frontend
     from frontend.protocols import is_live
     from frontend.sources.fresh import FreshFrames
+    from frontend.sources.realtime import RealtimeSource
     from frontend.summary import SummaryCounter
 
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
     fresh = None
     if is_live(source) and not config.serial:
-        fresh = FreshFrames(source, config.input.max_latency, hold=config.input.realtime)
+        fresh = FreshFrames(source, config.input.max_latency, hold=isinstance(source, RealtimeSource))
     sinks: list[Sink] = []
     ready = False
     code = 0

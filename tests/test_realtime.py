@@ -106,10 +106,16 @@ def test_a_held_source_is_asked_for_one_frame_until_everything_is_ready() -> Non
     fresh.close()
 
 
-def test_a_held_source_can_be_closed() -> None:
-    fresh = FreshFrames(RealtimeSource(Recording([0, 10])), hold=True)
+@pytest.mark.parametrize("hold", [False, True])
+def test_closing_waits_for_no_frame_to_come(hold: bool) -> None:
+    recording = Recording([0, 3_600_000])
+    fresh = FreshFrames(RealtimeSource(recording), hold=hold)
     assert next(iter(fresh)).index == 0
+    time.sleep(0.1)
+    begin = time.monotonic()
     fresh.close()
+    assert time.monotonic() - begin < 5
+    assert recording.closed
 
 
 def test_the_flag_paces_the_input_once(clip: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.realtime import RealtimeSource
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +67,7 @@ class FreshFrames:
             raise self._error
 
     def restart(self) -> None:
-        """Count dropped frames anew: all before was preparation."""
+        """Count dropped frames anew, and hold the source no longer: all before was preparation."""
         with self._changed:
             self.dropped = 0
             self._held = False
@@ -77,6 +78,8 @@ class FreshFrames:
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
+        if isinstance(self._source, RealtimeSource):
+            self._source.stop()
         if self._reader.ident is not None:
             self._reader.join()
         self._source.close()

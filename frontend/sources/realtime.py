@@ -28,7 +28,7 @@ class RealtimeSource:
     def __init__(self, source: Source, *, ahead: bool = False) -> None:
         self._source = source
         self._ahead = ahead
-        self._closed = threading.Event()
+        self._stopped = threading.Event()
 
     @property
     def name(self) -> str:
@@ -51,19 +51,23 @@ class RealtimeSource:
         begin_s = time.perf_counter()
         for frame in frames:
             due_s = begin_s + (frame.stamp_ns - first.stamp_ns) / 1e9
-            if self._closed.wait(max(0.0, due_s - time.perf_counter())):
+            if self._stopped.wait(max(0.0, due_s - time.perf_counter())):
                 return
             yield frame
 
+    def stop(self) -> None:
+        """End the iteration, whose thread may be waiting for the next frame; it may go on reading the one at hand."""
+        self._stopped.set()
+
     def close(self) -> None:
-        self._closed.set()
+        self.stop()
         self._source.close()
 
     def _read(self) -> list[Frame]:
-        """All frames, or those until it is closed."""
+        """All frames, or those until it is stopped."""
         frames = []
         for frame in self._source:
             frames.append(frame)
-            if self._closed.is_set():
+            if self._stopped.is_set():
                 break
         return frames
