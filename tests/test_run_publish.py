@@ -95,6 +95,9 @@ def test_interrupt_tells_consumers_that_it_was_all(clip: Path, tmp_path: Path) -
         tracks = iter(subscription)
         for _ in range(20):
             assert isinstance(next(tracks), LineTracks)
+        with closing(FoxgloveClient(viewers)) as gone:  # without a word
+            gone.subscribe("/camera/image")
+            gone.read_message()
         with closing(FoxgloveClient(viewers)) as client:
             client.subscribe("/camera/image", "/lines/tracks")
             assert {client.read_message()[0] for _ in range(4)} == {"/camera/image", "/lines/tracks"}

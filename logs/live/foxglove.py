@@ -43,6 +43,7 @@ class FoxgloveServer:
 
     def __init__(self, address: Address, name: str, *, labels: bool = False) -> None:
         self._labels = labels
+        self._closed = False
         context = self._context = Context()  # its channels end with it
         host = "0.0.0.0" if address.host == "*" else address.host
         try:
@@ -80,6 +81,8 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """Disconnect everybody; safe to call twice."""
-        stop = threading.Thread(target=self._server.stop, daemon=True)  # it would wait for ever for a stuck viewer
-        stop.start()
-        stop.join(_CLOSE_S)
+        if not self._closed:
+            self._closed = True
+            stop = threading.Thread(target=self._server.stop, daemon=True)  # it waits for ever for a stuck viewer
+            stop.start()
+            stop.join(_CLOSE_S)
