@@ -48,6 +48,7 @@ def progress(name: str, total: int | None) -> Iterator[Callable[[], None]]:
 def set_up_logging(verbosity: int) -> None:
     """Warnings of everybody, and of our own packages as much as is asked for."""
     logging.basicConfig(format="%(levelname)s: %(message)s", handlers=[StderrHandler()])
-    logging.getLogger("foxglove.websocket").setLevel(logging.CRITICAL)  # a viewer that leaves is an error to it
+    # to it a viewer that leaves is an error
+    logging.getLogger("foxglove.websocket.connected_client").setLevel(logging.CRITICAL)
     for package in ("airline", "frontend", "logs", "viz"):
         logging.getLogger(package).setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(verbosity, 2)])
