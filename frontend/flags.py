@@ -39,10 +39,21 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="TRACKS",
         help="write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/ or plvins.mcap; may be given several times",
     )
+    output.add_argument(
+        "--publish",
+        action="append",
+        default=[],
+        metavar="ADDR",
+        help="send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "
+        "ws://127.0.0.1:8765 (Foxglove); may be given several times",
+    )
     output.add_argument("--overwrite", action="store_true", help="replace what --out names if it exists")
     output.add_argument("--with-images", action="store_true", help="put the images into --out FILE.mcap")
-    output.add_argument("--labels", action="store_true", help="write the ids beside the lines of --out FILE.mcap")
+    output.add_argument("--labels", action="store_true", help="write the ids beside the lines, in Foxglove")
     live = parser.add_argument_group("live sources")
+    live.add_argument(
+        "--realtime", action="store_const", const=True, help="play a recording at its own pace, as a camera would"
+    )
     live.add_argument(
         "--max-latency", type=float, metavar="S", help="drop a live source's frames that have waited longer (0.2)"
     )
@@ -95,7 +106,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """The flags that were given, in the settings' own structure."""
-    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "max_latency")
+    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "realtime", "max_latency")
     names = (*frames, "topic", "time_source", "calib", "undistort")
     given = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}

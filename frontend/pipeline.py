@@ -131,7 +131,8 @@ class LineFrontend:
         tracks = self.tracker.update(frame, trace.lines)
         done = time.perf_counter()
         spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
-        return FrameResult(frame, trace, tracks, spent, 1e3 * (done - arrived_s))
+        latency_s = done - arrived_s
+        return FrameResult(frame, trace, tracks, spent, 1e3 * latency_s, time.time_ns() - round(1e9 * latency_s))
 
 
 class _Read(NamedTuple):

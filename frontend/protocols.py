@@ -21,6 +21,7 @@ class FrameResult:
         tracks: the tracks seen in this frame.
         stage_ms: milliseconds per stage of the whole pipeline.
         latency_ms: milliseconds from when the frame had been read to when its tracks were known.
+        read_ns: wall-clock time (`time.time_ns`) when the frame had been read, 0 where nobody noted it.
     """
 
     frame: Frame
@@ -28,6 +29,7 @@ class FrameResult:
     tracks: LineTracks
     stage_ms: Mapping[str, float]
     latency_ms: float = 0.0
+    read_ns: int = 0
 
 
 @runtime_checkable

@@ -36,6 +36,7 @@ EXIT_INTERRUPTED = 130
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
     """The frames that the input, the camera and the frame settings stand for."""
+    from frontend.protocols import is_live
     from frontend.select import select_frames
     from frontend.undistort import with_camera
 
@@ -47,7 +48,7 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         camera = read_calibration(chosen.calib)
     opened = open_source_of(spec, config)
     try:
-        return select_frames(
+        selected = select_frames(
             with_camera(opened, camera, undistort=chosen.undistort),
             start_s=chosen.start,
             end_s=chosen.end,
@@ -58,6 +59,11 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     except AirLineError:
         opened.close()
         raise
+    if not chosen.realtime or is_live(selected):
+        return selected
+    from frontend.sources.realtime import RealtimeSource
+
+    return RealtimeSource(selected, ahead=spec is None)  # the built-in clip takes longer to render than to play
 
 
 def open_source_of(spec: str | None, config: RunConfig) -> Source:
@@ -99,6 +105,7 @@ def check_distinct(spec: str | None, outputs: list[Path]) -> None:
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C; print and write the summary; returns the exit code."""
+    from logs.live.address import open_publisher, parse_address
     from logs.sinks.open import check, kind_and_path, open_track_sink
 
     video = video_to_log(options.input, config)
@@ -106,11 +113,14 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     check_output(options.summary, "--summary", ".json")
     for spec in options.out:
         check(spec, overwrite=options.overwrite)
+    for address in options.publish:
+        parse_address(address)
     outputs = [kind_and_path(spec)[1] for spec in options.out]
     check_distinct(options.input, [path for path in (options.save, options.summary, *outputs) if path is not None])
 
     def open_sinks() -> Iterator[Sink]:
         """One by one, so that those already open are closed when the next one fails."""
+        yield from publishers  # first, so that nobody there waits for the others
         for spec in options.out:
             yield open_track_sink(
                 spec, overwrite=options.overwrite, with_images=options.with_images, labels=options.labels
@@ -120,7 +130,13 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
 
     with ExitStack() as serving:
         server = serving.enter_context(web_viewer()) if options.serve else None
-        with closing(open_input(options.input, config)) as source:
+        with closing(open_input(options.input, config)) as source, ExitStack() as publishing:
+            publishers = [
+                publishing.enter_context(closing(open_publisher(address, source.name, labels=options.labels)))
+                for address in options.publish
+            ]
+            for publisher in publishers:
+                print(f"publishing at {publisher.address}", flush=True)
             save, viewer = where_to_record(options, source.name, server)
             code, summary = process(source, config, open_sinks)
         report(options, save, summary)
@@ -208,8 +224,9 @@ def where_to_record(
 ) -> tuple[Path | None, str | None]:
     """The file to save and the address of a viewer: the one that was asked for, or a window where one can open.
 
-    Without either the recording goes to a file named after the input, unless --out says where results go.
+    Without either the recording goes to a file named after the input, unless --out or --publish says where results go.
     """
+    elsewhere = options.out or options.publish
     if options.connect is not None or server is not None:
         return options.save, options.connect if server is None else server.stream
     if options.spawn or (options.save is None and not options.headless and not options.serve and has_display()):
@@ -218,11 +235,11 @@ def where_to_record(
         viewer = open_viewer()
         if viewer is not None:
             return options.save, viewer
-        saved = options.save is not None or options.out
+        saved = options.save is not None or elsewhere
         log.warning("no viewer window could be opened%s", "" if saved else f": saving {name}.rrd instead")
     if options.save is not None:
         return options.save, None
-    return (None if options.out else Path(f"{name}.rrd")), None
+    return (None if elsewhere else Path(f"{name}.rrd")), None
 
 
 def open_recording(
@@ -262,11 +279,14 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     from frontend.pipeline import open_frontend
     from frontend.protocols import is_live
     from frontend.sources.fresh import FreshFrames
+    from frontend.sources.realtime import RealtimeSource
     from frontend.summary import SummaryCounter
 
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
-    fresh = FreshFrames(source, config.input.max_latency) if is_live(source) and not config.serial else None
+    fresh = None
+    if is_live(source) and not config.serial:
+        fresh = FreshFrames(source, config.input.max_latency, hold=isinstance(source, RealtimeSource))
     ready = False
     code = 0
 

@@ -27,7 +27,8 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         max_frames: at most this many frames are used.
         resize: "WIDTHxHEIGHT", or "WIDTH" to keep the aspect.
         fps: frame rate of folders without timestamps.
-        max_latency: seconds that a frame of a live source may wait before it is dropped; files never drop frames.
+        realtime: whether a recording is played at the pace of its stamps, like a live source, which it counts as then.
+        max_latency: seconds that a frame of a live source may wait before it is dropped; other sources drop none.
         topic: image topic of a log.
         time_source: where a log's times come from: the messages' headers, their publish time or the log's clock.
         calib: file with the camera's calibration.
@@ -40,6 +41,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     max_frames: Annotated[int, Meta(ge=1)] | None = None
     resize: str | None = None
     fps: Annotated[float, Meta(gt=0)] = 30.0
+    realtime: bool = False
     max_latency: Annotated[float, Meta(gt=0)] = 0.2
     topic: str | None = None
     time_source: Literal["header", "publish", "log"] = "header"

@@ -49,5 +49,7 @@ def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Cal
 def set_up_logging(verbosity: int) -> None:
     """Warnings of everybody, and of our own packages as much as is asked for."""
     logging.basicConfig(format="%(levelname)s: %(message)s", handlers=[StderrHandler()])
+    # to it a viewer that leaves is an error
+    logging.getLogger("foxglove.websocket.connected_client").setLevel(logging.CRITICAL)
     for package in ("airline", "frontend", "logs", "viz"):
         logging.getLogger(package).setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(verbosity, 2)])

@@ -1,4 +1,4 @@
-"""Recordings in and out: logs with camera images are sources, files of tracked lines are sinks."""
+"""Recordings in and out: logs with camera images are sources, files and streams of tracked lines are sinks."""
 
 from __future__ import annotations
 
@@ -7,13 +7,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from logs.live.subscribe import subscribe_tracks
     from logs.read import read_tracks
     from logs.sinks.mcap_tracks import McapTrackSink
     from logs.sinks.parquet import ParquetTrackSink
     from logs.source import LogImageSource, McapImageSource
     from logs.stamps import TimeSource
 
-__all__ = ["LogImageSource", "McapImageSource", "McapTrackSink", "ParquetTrackSink", "open_images", "read_tracks"]
+__all__ = [
+    "LogImageSource",
+    "McapImageSource",
+    "McapTrackSink",
+    "ParquetTrackSink",
+    "open_images",
+    "read_tracks",
+    "subscribe_tracks",
+]
 
 # Loaded on first use: OpenCV and the readers of all the formats take time to import.
 _MODULES = {
@@ -22,6 +31,7 @@ _MODULES = {
     "McapTrackSink": "logs.sinks.mcap_tracks",
     "ParquetTrackSink": "logs.sinks.parquet",
     "read_tracks": "logs.read",
+    "subscribe_tracks": "logs.live.subscribe",
 }
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.realtime import RealtimeSource
 
 log = logging.getLogger(__name__)
 
@@ -25,19 +26,22 @@ class FreshFrames:
     Args:
         source: the live source; closing this closes it.
         max_latency_s: a frame that has waited longer, in seconds, is dropped.
+        hold: ask the source for no second frame before `restart` is called; for a recording, which waits as no camera
+            does, and would be half over when everything is ready.
 
     Attributes:
         dropped: number of frames so far that were dropped.
         arrived_s: `time.perf_counter()` when the latest frame that iteration gave had been read.
     """
 
-    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S) -> None:
+    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S, *, hold: bool = False) -> None:
         self.dropped = 0
         self.arrived_s = 0.0
         self._source = source
         self._max_latency_s = max_latency_s
         self._waiting: deque[tuple[float, Frame]] = deque()
         self._changed = threading.Condition()
+        self._held = hold
         self._stopped = False
         self._warned = False
         self._error: BaseException | None = None
@@ -63,15 +67,19 @@ class FreshFrames:
             raise self._error
 
     def restart(self) -> None:
-        """Count dropped frames anew: all before was preparation."""
+        """Count dropped frames anew, and hold the source no longer: all before was preparation."""
         with self._changed:
             self.dropped = 0
+            self._held = False
+            self._changed.notify_all()
 
     def close(self) -> None:
         """Stop reading as soon as the frame at hand is read, and close the source."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
+        if isinstance(self._source, RealtimeSource):
+            self._source.stop()
         if self._reader.ident is not None:
             self._reader.join()
         self._source.close()
@@ -87,6 +95,7 @@ class FreshFrames:
                         self._drop()
                     self._waiting.append((time.perf_counter(), frame))
                     self._changed.notify_all()
+                    self._changed.wait_for(lambda: self._stopped or not self._held)
         except BaseException as error:
             self._error = error  # raised behind the frames that still wait
         finally:

@@ -27,19 +27,51 @@ _NUMBERS = 2**24  # float32 has every whole number below
 _SECOND_NS = 1_000_000_000
 
 
-class PlVinsTrackSink:
-    """Writes each frame's tracks as a `sensor_msgs/PointCloud` of ROS 1; a `Sink`.
-
-    A message has the frame's stamp and, line by line, the start in `points` (undistorted, on the plane z = 1) and in
-    `channels` the line's number, and u and v of its end, also undistorted on that plane.
+class PlVinsLines:
+    """Which lines of a frame PL-VINS gets, and under which numbers.
 
     - Only confirmed tracks: PL-VINS makes a landmark of every number, and has no way to take back one that was noise.
     - Numbers are not track ids. PL-VINS takes the observations of a number for those of consecutive frames, so a track
       that was lost for a while goes on under a new one; and it sends numbers as float32, so they are counted from 0
       and begin again at 2^24. By then their first holders are long gone from its window of ten frames.
-    - Every frame has a message, even if it is empty: PL-VINS pairs them with those of its point tracker by their order.
-      So that tracker has to use every frame too: set `freq` in PL-VINS's configuration above the rate of the frames.
     - Lines with an end that no undistortion reaches are left out.
+    """
+
+    def __init__(self) -> None:
+        self._numbers: dict[int, int] = {}  # of the tracks in the frame before
+        self._next = 0
+
+    def of_frame(self, tracks: LineTracks) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The lines of the next frame.
+
+        Returns:
+            (K,) float32 numbers, and (K, 2, 2) float32 end points, undistorted, on the plane z = 1.
+
+        Raises:
+            ConfigError: a frame without a camera.
+        """
+        segments = tracks.segments_normalized
+        if segments is None:
+            raise ConfigError("PL-VINS needs normalized coordinates: give the camera's calibration with --calib FILE")
+        usable = tracks.confirmed & np.isfinite(segments).all((1, 2))
+        numbers = {}
+        for track in tracks.ids[usable].tolist():
+            number = self._numbers.get(track)
+            if number is None:
+                number, self._next = self._next, (self._next + 1) % _NUMBERS
+            numbers[track] = number
+        self._numbers = numbers
+        return np.array(list(numbers.values()), np.float32), segments[usable]
+
+
+class PlVinsTrackSink:
+    """Writes each frame's lines as a `sensor_msgs/PointCloud` of ROS 1; a `Sink`.
+
+    A message has the frame's stamp and, line by line, the start in `points` (undistorted, on the plane z = 1) and in
+    `channels` the line's number, and u and v of its end, also undistorted on that plane. `PlVinsLines` chooses the
+    lines. Every frame has a message, even if it is empty: PL-VINS pairs them with those of its point tracker by their
+    order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration above the rate of the
+    frames.
 
     Args:
         path: the file.
@@ -58,38 +90,22 @@ class PlVinsTrackSink:
         self._channel = self._output.channel(
             TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode("ascii")
         )
-        self._numbers: dict[int, int] = {}  # of the tracks in the frame before
-        self._next = 0
+        self._lines = PlVinsLines()
         self._frames = 0
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
         tracks = result.tracks
-        segments = tracks.segments_normalized
-        if segments is None:
-            raise ConfigError("PL-VINS needs normalized coordinates: give the camera's calibration with --calib FILE")
+        numbers, segments = self._lines.of_frame(tracks)
         if not 0 <= tracks.stamp_ns < 2**32 * _SECOND_NS:
             raise InputError(f"ROS 1 has no time {tracks.stamp_ns} ns: it counts from 1970 to 2106")
-        usable = tracks.confirmed & np.isfinite(segments).all((1, 2))
-        numbers = self._number(tracks.ids[usable])
-        self._output.write(self._channel, tracks.stamp_ns, self._message(tracks, segments[usable], numbers))
+        self._output.write(self._channel, tracks.stamp_ns, self._message(tracks, segments, numbers))
         self._output.flush_when_due()
         self._frames += 1
 
     def close(self) -> None:
         """Write the file's index; safe to call twice."""
         self._output.close()
-
-    def _number(self, ids: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Numbers of tracks: those of the frame before, and new ones for tracks that were not in it."""
-        numbers = {}
-        for track in ids.tolist():
-            number = self._numbers.get(track)
-            if number is None:
-                number, self._next = self._next, (self._next + 1) % _NUMBERS
-            numbers[track] = number
-        self._numbers = numbers
-        return np.array(list(numbers.values()), np.float32)
 
     def _message(self, tracks: LineTracks, segments: NDArray[np.float32], numbers: NDArray[np.float32]) -> bytes:
         types = self._store.types

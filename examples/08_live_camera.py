@@ -1,0 +1,28 @@
+"""Track lines in a live camera: `python examples/08_live_camera.py [INDEX_OR_URL]`.
+
+INDEX_OR_URL is a camera's number or a stream's URL; without it the built-in clip is played at a camera's pace.
+"""
+
+import sys
+
+from airline.scenes import Sequence
+from frontend import LineFrontend, open_source
+from frontend.sources.fresh import FreshFrames
+from frontend.sources.realtime import RealtimeSource
+from frontend.sources.scene import SceneSource
+
+if len(sys.argv) > 1:
+    camera = open_source(sys.argv[1])
+else:
+    camera = RealtimeSource(SceneSource(Sequence(seed=12, frames=40)), ahead=True)
+fresh = FreshFrames(camera, hold=len(sys.argv) == 1)  # drops the oldest frames when the camera is faster than we are
+frontend = LineFrontend()
+try:
+    for result in frontend.results(fresh, prepare=lambda frame: frontend.warm_up(frame.image)):
+        confirmed = result.tracks.confirmed.sum()
+        print(f"{result.tracks.stamp_ns / 1e9:.3f} s: {confirmed} confirmed tracks, {result.latency_ms:.1f} ms")
+except KeyboardInterrupt:
+    pass
+finally:
+    fresh.close()
+print(f"{fresh.dropped} frames dropped")
