@@ -191,8 +191,8 @@ def web_viewer() -> Iterator[WebViewer | None]:
 
 def wait_for_interrupt(viewer: WebViewer) -> None:
     """Keep the web viewer up until Ctrl-C, or until it ends by itself."""
-    print(f"serving at {viewer.url} until Ctrl-C", flush=True)
     try:
+        print(f"serving at {viewer.url} until Ctrl-C", flush=True)
         viewer.process.wait()
     except KeyboardInterrupt:
         return

@@ -1,0 +1,125 @@
+"""Clips with known poses, seen by each frontend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from airline import AirLine, LineSet
+from airline.evaluation.benchmark import lsd
+from airline.scenes import RenderedView, Sequence, render_sequence
+from airline.scenes.sequence import build_scene
+from frontend import CameraModel, Frame, LineTracker
+from frontend.evaluation.baselines import NearestTracker
+from frontend.evaluation.posed import PosedClip
+from frontend.sources.scene import frame_of
+from line_odometry.geometry import Array, homogeneous
+from line_odometry.score import TrueLines
+from line_odometry.views import View
+
+OURS, TRUE_LINES, LSD = "AirLine and tracker", "true lines", "LSD and nearest neighbour"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A clip as the frontends see it.
+
+    Attributes:
+        focal: px.
+        axes: where right, down or up, and forward are in the world, as Rerun writes it.
+        poses: (N, 3, 4) the true world_from_camera.
+        views: what each frontend saw, by its name.
+        lines: the true lines, where they are known.
+    """
+
+    focal: float
+    axes: str
+    poses: Array
+    views: dict[str, list[View]]
+    lines: TrueLines | None = None
+
+
+def built_in(frames: int, names: list[str]) -> Seen:
+    """The first frames of the built-in clip."""
+    sequence = Sequence(kind="indoor", motion="handheld", seed=12, frames=frames)
+    frontends = _frontends(names)
+    views: dict[str, list[View]] = {name: [] for name in names}
+    poses, depths, pieces = [], [], []
+    for index, rendered in enumerate(render_sequence(sequence)):
+        frame = frame_of(index, rendered)
+        for name, look in frontends.items():
+            views[name].append(look(frame))
+        if TRUE_LINES in views:
+            views[TRUE_LINES].append(_truth(frame, rendered))
+        poses.append(rendered.pose[:3])
+        depths.append(np.median(rendered.depth))
+        pieces.append((rendered.ids, rendered.segments_world))
+    visible = merged(np.concatenate([ids for ids, _ in pieces]), np.concatenate([ends for _, ends in pieces]))
+    every = np.concatenate([build_scene(sequence.kind, sequence.seed).lines, visible])
+    return Seen(sequence.K[0, 0], "RFU", np.array(poses), views, TrueLines(visible, every, float(np.median(depths))))
+
+
+def posed(folder: Path, frames: int | None, names: list[str]) -> Seen:
+    """A folder with images, calibration and poses, as KITTI's odometry sequences are handed around; InputError."""
+    clip = PosedClip(folder)
+    frontends = _frontends(names)
+    views: dict[str, list[View]] = {name: [] for name in frontends}
+    for frame in clip:
+        if frames is not None and frame.index >= frames:
+            break
+        height, width = frame.image.shape[:2]
+        camera = CameraModel(width, height, clip.K[0, 0], clip.K[1, 1], clip.K[0, 2], clip.K[1, 2])
+        for name, look in frontends.items():
+            views[name].append(look(replace(frame, camera=camera)))
+    return Seen(clip.K[0, 0], "RDF", clip.poses[:frames], views)
+
+
+def merged(ids: np.ndarray, ends: Array) -> Array:
+    """(V, 2, 3) the parts of lines that pieces (M, 2, 3) of them cover, each part once."""
+    return np.array([part for line in np.unique(ids) for part in _union(ends[ids == line])])
+
+
+def _union(pieces: Array) -> Iterator[Array]:
+    sizes = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
+    origin, tip = pieces[sizes.argmax()]
+    along = (tip - origin) / sizes.max()
+    spans = np.sort((pieces - origin) @ along, axis=1)
+    low, high = spans[spans[:, 0].argsort()].T
+    reached = np.maximum.accumulate(high)
+    first = np.flatnonzero(np.append(True, low[1:] > reached[:-1]))
+    for start, end in zip(low[first], reached[np.append(first[1:], len(low)) - 1], strict=True):
+        yield np.stack([origin + start * along, origin + end * along])
+
+
+def _frontends(names: list[str]) -> dict[str, Callable[[Frame], View]]:
+    makers: dict[str, Callable[[], Callable[[Frame], View]]] = {OURS: _ours, LSD: _lsd_and_nearest}
+    return {name: makers[name]() for name in names if name in makers}
+
+
+def _ours() -> Callable[[Frame], View]:
+    detector, tracker = AirLine(), LineTracker()
+    return lambda frame: View.of(tracker.update(frame, detector(frame.image)))
+
+
+def _lsd_and_nearest() -> Callable[[Frame], View]:
+    detect, tracker = lsd(), NearestTracker()
+
+    def look(frame: Frame) -> View:
+        found = detect(frame.gray)
+        lines = LineSet(found, np.ones(len(found), np.float32), np.zeros((len(found), 0), np.float32))
+        tracked = tracker.update(frame, lines)
+        return _view(frame, tracked.ids, found[tracked.line_indices])
+
+    return look
+
+
+def _truth(frame: Frame, rendered: RenderedView) -> View:
+    return _view(frame, rendered.ids, rendered.segments_px)
+
+
+def _view(frame: Frame, ids: np.ndarray, segments: np.ndarray) -> View:
+    assert frame.camera is not None
+    return View(ids, homogeneous(frame.camera.normalize(segments)))
