@@ -261,7 +261,7 @@ def test_pieces_of_a_line_count_once():
 
 
 def test_the_command_writes_what_it_prints(tmp_path):
-    done = example("10_line_odometry", tmp_path, "--frames", "40", "--baselines", "--json", "figures.json")
+    done = example("10_line_odometry", tmp_path, "--frames", "60", "--baselines", "--json", "figures.json")
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert len(figures) == 3

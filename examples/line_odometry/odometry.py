@@ -42,19 +42,12 @@ class Map:
     Attributes:
         ids: (N,) tracks, ascending.
         lines: (N, 2, 3) points and directions.
-        reach: (N, 2) where on the line, from its point, it begins and ends.
         spread: (N,) how well each is known, see `Triangulated`; infinite for those that are no line.
     """
 
     ids: Ids = field(default_factory=lambda: np.zeros(0, np.int64))
     lines: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))
-    reach: Array = field(default_factory=lambda: np.zeros((0, 2)))
     spread: Array = field(default_factory=lambda: np.zeros(0))
-
-    def segments(self, spread: float) -> Array:
-        """(M, 2, 3) end points of the lines that are known so well."""
-        rows = np.flatnonzero(self.spread < spread)
-        return self.lines[rows, :1] + self.reach[rows, :, None] * self.lines[rows, 1:]
 
     def find(self, ids: Ids) -> tuple[Array, Array]:
         """(M, 2, 3) lines and (M,) spreads of tracks; NaN and infinite for those that are not in the map."""
@@ -69,7 +62,7 @@ class Map:
         spread = np.where(found.ahead & (found.rms < MAX_RMS), found.spread, np.inf)
         rest = ~np.isin(self.ids, ids)
         order = np.argsort(np.concatenate([self.ids[rest], ids]))
-        pairs = ((self.ids, ids), (self.lines, found.lines), (self.reach, found.reach), (self.spread, spread))
+        pairs = ((self.ids, ids), (self.lines, found.lines), (self.spread, spread))
         return Map(*(np.concatenate([old[rest], new])[order] for old, new in pairs))
 
 

@@ -28,7 +28,7 @@ def show(save: Path, seen: Seen, path: Aligned, segments: Array) -> None:
     recording = _begin(save, seen)
     laid = path.scale * segments @ path.turn.T + path.shift
     recording.log("world/lines", _strips(laid, LINES), static=True)
-    recording.log("world/path", rr.LineStrips3D([path.poses[:, :, 3]], colors=[OURS]), static=True)
+    recording.log("world/path", _path(path.poses, OURS, 3.0), static=True)
     reach = FRUSTUM * float(np.ptp(seen.poses[:, :, 3], axis=0).max())
     for index, pose in enumerate(path.poses):
         recording.set_time("frame", sequence=index)
@@ -53,10 +53,14 @@ def _begin(save: Path, seen: Seen) -> rr.RecordingStream:
     )
     recording.save(save, default_blueprint=rrb.Blueprint(view, collapse_panels=True))
     recording.log("world", getattr(rr.ViewCoordinates, seen.axes), static=True)
-    recording.log("world/true_path", rr.LineStrips3D([seen.poses[:, :, 3]], colors=[TRUTH]), static=True)
+    recording.log("world/true_path", _path(seen.poses, TRUTH, 1.0), static=True)
     if seen.lines is not None:
         recording.log("world/true_lines", _strips(seen.lines.visible, TRUTH), static=True)
     return recording
+
+
+def _path(poses: Array, colour: tuple[int, int, int], width: float) -> rr.LineStrips3D:
+    return rr.LineStrips3D([poses[:, :, 3]], colors=[colour], radii=rr.Radius.ui_points(width))
 
 
 def _strips(segments: Array, colour: tuple[int, int, int]) -> rr.LineStrips3D:
