@@ -21,7 +21,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def ending_like_interrupts() -> Iterator[None]:
-    """Inside the block the first of these signals raises `Terminated`; more of them do not disturb what it has to finish.
+    """Inside the block the first of these signals raises `Terminated`; more of them do not disturb the end.
 
     Signals that somebody ignores or handles are left alone.
     """

@@ -57,10 +57,11 @@ def test_a_stream_that_does_not_come_back_is_an_error_behind_its_frames() -> Non
         source = LiveSource(server.url, reconnect_s=0.5)
         read = []
         begin = time.monotonic()
+        frames = iter(source)
+        read.append(next(frames))
+        server.refused = 1000
         with pytest.raises(InputError, match=r"did not come back within 0\.5 s.*--reconnect"):
-            for frame in source:
-                read.append(frame)
-                server.refused = 1000
+            read.extend(frames)
         assert time.monotonic() - begin < 4
         source.close()
     assert 3 <= len(read) <= 5

@@ -20,8 +20,8 @@ from viz.destination import Destination, batches
 from viz.log_lines import LogLines
 from viz.space import Poses, log_lines_3d, log_world, pinhole
 from viz.stages import log_descriptors, log_jpeg, log_region_colours, log_stages
-from viz.streams import open_stream, send_blueprint
 from viz.statistics import log_figures, log_series
+from viz.streams import open_stream, send_blueprint
 from viz.track_lines import Tails, log_tracks
 from viz.video import VideoReferences
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 
-_BLOCKS = 20  # samples follow each other too closely to count each; means of so many blocks do not
+_BLOCKS = 20  # samples follow each other too closely to count each; medians of so many blocks do not
 _T_95 = 2.101  # Student's t for 18 degrees of freedom, two-sided
 
 
@@ -42,9 +42,9 @@ class Trend:
 
 
 def trend(values: NDArray[np.float64]) -> Trend:
-    """The line through equally spaced samples, its confidence by the scatter of block means; (N,), N of 20 or more."""
+    """The line through equally spaced samples, (N,), N of 20 or more; its confidence by the scatter of block medians."""
     place = np.linspace(-0.5, 0.5, len(values))
-    blocks = np.array([[part.mean() for part in np.array_split(v, _BLOCKS)] for v in (place, values)])
+    blocks = np.array([[np.median(part) for part in np.array_split(v, _BLOCKS)] for v in (place, values)])
     x, y = blocks[0] - blocks[0].mean(), blocks[1] - blocks[1].mean()
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / (_BLOCKS - 2) / (x @ x)))
