@@ -169,7 +169,8 @@ def judge(watch: Endurance, turns: Turns) -> dict[str, Any]:
         faults.append(f"memory grew by {memory.change:.1f} ± {memory.margin:.1f} MB, more than {GROWTH_MB:g}")
     if cpu is not None and cpu.least > SLOWER * cpu.mean:
         faults.append(f"the time per frame grew by {cpu.change:.2f} ± {cpu.margin:.2f} ms of {cpu.mean:.2f}")
-    if handles and min(handles[len(handles) // 2 :]) > max(handles[: len(handles) // 2]):
+    third = max(1, len(handles) // 3)
+    if handles and min(handles[-third:]) > max(handles[:third]):
         faults.append(f"open files and threads went from {handles[0]} to {handles[-1]}")
     return {
         "frames": watch.frames,

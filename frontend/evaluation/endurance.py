@@ -42,7 +42,11 @@ class Trend:
 
 
 def trend(values: NDArray[np.float64]) -> Trend:
-    """The line through equally spaced samples, (N,), N of 20 or more; its confidence by the scatter of block medians."""
+    """The line through equally spaced samples, its confidence by the scatter of block medians.
+
+    Args:
+        values: (N,) samples, N of 20 or more.
+    """
     place = np.linspace(-0.5, 0.5, len(values))
     blocks = np.array([[np.median(part) for part in np.array_split(v, _BLOCKS)] for v in (place, values)])
     x, y = blocks[0] - blocks[0].mean(), blocks[1] - blocks[1].mean()
