@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import signal
 import threading
 import time
@@ -139,6 +138,18 @@ def test_a_camera_that_does_not_exist() -> None:
     assert (done.code, done.err) == (2, "error: cannot open camera 98: is it connected and free?\n")
 
 
+def test_a_camera_that_is_pulled_out_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No machine of the tests has a camera: a stream that ends stands for one."""
+    with mjpeg_server() as server:
+        server.frames = 5
+        url = server.url
+        monkeypatch.setattr(live, "_open_camera", lambda number: live._open_stream(url))
+        frames = iter(LiveSource(3))
+        assert next(frames).index == 0
+        with pytest.raises(InputError, match="camera 3 sends no more pictures: is it still connected"):
+            list(frames)
+
+
 def test_a_run_whose_stream_is_lost_keeps_what_it_has(tmp_path: Path) -> None:
     with mjpeg_server() as server:
         server.frames = 40
@@ -148,4 +159,3 @@ def test_a_run_whose_stream_is_lost_keeps_what_it_has(tmp_path: Path) -> None:
     assert "did not come back within 0.3 s" in done.err
     assert "wrote" in done.out
     assert len((tmp_path / "t.csv").read_text().splitlines()) > 4
-    assert logging.getLogger("frontend").isEnabledFor(logging.WARNING)
