@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint types unit clean
+.PHONY: demo test lint types unit fuzz soak clean
 
 # the built-in clip through the whole pipeline into a recording
 demo: .venv/installed
@@ -21,6 +21,14 @@ types: .venv/installed
 
 unit: .venv/installed
 	$(BIN)/python -m pytest
+
+# damaged and hostile input for every reader of files and messages: 280,000 inputs, some minutes
+fuzz: .venv/installed
+	$(BIN)/python -m tests.fuzz 2>/dev/null
+
+# 50,000 frames through the whole pipeline, half an hour and more
+soak: .venv/installed
+	$(BIN)/python -m frontend.soak --size 320x240
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

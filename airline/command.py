@@ -31,6 +31,14 @@ class StderrHandler(logging.Handler):
         print(self.format(record), file=sys.stderr)
 
 
+def print_errors(error: AirLineError) -> None:
+    """Print an error, and before it those that it came on top of: when one output fails, others may, too."""
+    before, cause = error.__context__, error.__cause__
+    if isinstance(before, AirLineError) and before is not cause:
+        print_errors(before)
+    print(f"error: {error}", file=sys.stderr)
+
+
 def exit_code(run: Callable[[argparse.Namespace], None], options: argparse.Namespace) -> int:
     """Run a command; 2 after printing an error that the user can mend, else 0."""
     try:

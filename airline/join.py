@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from airline.moments import principal
 
 CELL = 32.0  # px, side of the cells in which end points are looked up

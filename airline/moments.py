@@ -7,8 +7,9 @@ are joined, and its end points (x0, y0, x1, y1).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from airline.compiled import njit
 
 MARGIN = 4  # pixels at each end of a region at which it is not cut
 

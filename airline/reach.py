@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from airline.compiled import njit
 from airline.score import bilinear, strength
 
 FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian

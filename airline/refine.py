@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from airline.compiled import njit
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
 from airline.lines import LineSet

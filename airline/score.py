@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from airline.compiled import njit
 
 SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
 

@@ -22,6 +22,7 @@ from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError, ConfigError
 from frontend.flags import add_settings, settings_of
 from frontend.fleet.job import OUTPUTS, Recipe, Row
+from frontend.signals import EXIT_INTERRUPTED, ending_like_interrupts
 from frontend.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ __all__ = ["run_batch"]
 log = logging.getLogger("frontend.batch")
 
 EXIT_SOME_FAILED = 1
-EXIT_INTERRUPTED = 130
 
 
 def run_batch(
@@ -178,9 +178,10 @@ def main(arguments: list[str] | None = None) -> int:
 
         config = load(options.config, settings_of(options))
         outputs = tuple(options.write)
-        report, interrupted = _run(
-            options.inputs, options.out, config, outputs, options.workers, options.ray, options.overwrite
-        )
+        with ending_like_interrupts():
+            report, interrupted = _run(
+                options.inputs, options.out, config, outputs, options.workers, options.ray, options.overwrite
+            )
         Console().print(report.table())
         failures = report.failures()
         for failure in failures:

@@ -57,6 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
     live.add_argument(
         "--max-latency", type=float, metavar="S", help="drop a live source's frames that have waited longer (0.2)"
     )
+    live.add_argument("--reconnect", type=float, metavar="S", help="try a stream that drops again for S seconds (60)")
     add_settings(parser)
     instead = parser.add_argument_group("instead of a run")
     instead.add_argument("--list-topics", action="store_true", help="print image and calibration topics and exit")
@@ -106,7 +107,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """The flags that were given, in the settings' own structure."""
-    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "realtime", "max_latency")
+    frames = ("start", "end", "stride", "max_frames", "resize", "fps", "realtime", "max_latency", "reconnect")
     names = (*frames, "topic", "time_source", "calib", "undistort")
     given = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     flags: dict[str, Any] = {"input": given} if given else {}

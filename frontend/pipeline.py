@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from inspect import GEN_RUNNING, getgeneratorstate
 from itertools import chain
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +18,7 @@ from airline.image import Gray
 from airline.trace import Trace
 from frontend.cores import network_threads
 from frontend.frame import Frame
-from frontend.protocols import FrameResult, Source, is_live
+from frontend.protocols import FrameResult, Source, is_live, stopping
 from frontend.sources.fresh import MAX_LATENCY_S, FreshFrames
 from frontend.stages import pipelined
 from frontend.tracker import LineTracker
@@ -79,11 +81,9 @@ class LineFrontend:
         opened = open_source(source) if isinstance(source, (str, PathLike)) else source
         if is_live(opened):
             opened = FreshFrames(opened, max_latency_s)
-        try:
-            for result in self.results(opened):
+        with closing(opened), closing(self.results(opened)) as results, stopping(opened):
+            for result in results:
                 yield result.tracks
-        finally:
-            opened.close()
 
     def results(
         self, source: Source, *, serial: bool = False, prepare: Callable[[Frame], None] | None = None
@@ -114,7 +114,8 @@ class LineFrontend:
                 read_ahead = not isinstance(source, FreshFrames)
                 yield from pipelined(items, self._detect, self._trace, self._track, read_ahead=read_ahead)
         finally:
-            read.close()
+            if getgeneratorstate(read) != GEN_RUNNING:  # in its thread, which a second Ctrl-C leaves behind
+                read.close()
 
     def _detect(self, read: _Read) -> _Detected:
         gray = read.frame.gray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -64,6 +65,28 @@ class Source(Protocol):
 def is_live(source: Source) -> bool:
     """Whether the source's frames come whether or not somebody takes them."""
     return bool(getattr(source, "live", False))
+
+
+def reconnects_of(source: Source) -> int:
+    """How often the source, or the one it selects from, was lost and came back."""
+    count = getattr(source, "reconnects", 0)
+    return count if isinstance(count, int) else 0
+
+
+def stop(source: Source) -> None:
+    """Tell a source that may be waiting for a frame, in another thread, to end its iteration; few need to know how."""
+    end = getattr(source, "stop", None)
+    if end is not None:
+        end()
+
+
+@contextmanager
+def stopping(source: Source) -> Iterator[None]:
+    """Stop the source at the end of the block, before those are waited for who wait for its next frame."""
+    try:
+        yield
+    finally:
+        stop(source)
 
 
 class Sink(Protocol):

@@ -6,16 +6,16 @@ import json
 import logging
 import os
 import shlex
-import signal
 import sys
 import time
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import EXIT_USER_ERROR
+from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.flags import build_parser, settings_of
+from frontend.signals import ending_like_interrupts, exit_code_of
 from frontend.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
-
-EXIT_INTERRUPTED = 130
 
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
@@ -79,7 +77,7 @@ def open_source_of(spec: str | None, config: RunConfig) -> Source:
         from logs import open_images
 
         return open_images(spec, config.input.topic, time_source=config.input.time_source)
-    return open_source(spec, topic=config.input.topic, fps=config.input.fps)
+    return open_source(spec, topic=config.input.topic, fps=config.input.fps, reconnect_s=config.input.reconnect)
 
 
 def has_display() -> bool:
@@ -149,12 +147,15 @@ def report(options: argparse.Namespace, save: Path | None, summary: Summary) -> 
     """Print the figures and what was written where."""
     from rich.console import Console
 
+    from logs.sinks.open import kind_and_path
+
     Console().print(summary.table())
-    if save is not None and summary.frames:
+    if save is not None and summary.frames and save.exists():
         print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
     if summary.frames:
         for spec in options.out:
-            print(f"wrote {spec}")
+            if kind_and_path(spec)[1].exists():  # it may have been removed, or have been left unfinished
+                print(f"wrote {spec}")
     if options.summary is not None:
         write_summary(options.summary, summary)
 
@@ -181,11 +182,9 @@ def web_viewer() -> Iterator[WebViewer | None]:
         yield None
         return
     print(f"watch at {viewer.url}", f"or with: rerun {viewer.stream}", sep="\n", flush=True)
-    before = signal.signal(signal.SIGTERM, _interrupt)  # or the viewer would outlive a run that is told to end
     try:
         yield viewer
     finally:
-        signal.signal(signal.SIGTERM, before)
         viewer.close()
 
 
@@ -197,10 +196,6 @@ def wait_for_interrupt(viewer: WebViewer) -> None:
     except KeyboardInterrupt:
         return
     log.warning("the web viewer has ended")
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
 
 
 def list_topics(spec: str | None) -> int:
@@ -277,7 +272,7 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     are closed whatever happens.
     """
     from frontend.pipeline import open_frontend
-    from frontend.protocols import is_live
+    from frontend.protocols import is_live, reconnects_of
     from frontend.sources.fresh import FreshFrames
     from frontend.sources.realtime import RealtimeSource
     from frontend.summary import SummaryCounter
@@ -298,15 +293,15 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     try:
         with progress(source.name, source.frame_count) as advance:
             push(fresh or source, frontend, open_all, counter, serial=config.serial, advance=advance)
-    except KeyboardInterrupt:
-        code = EXIT_INTERRUPTED
+    except KeyboardInterrupt as interrupt:
+        code = exit_code_of(interrupt)
         log.warning("interrupted: what was done so far is kept")
     except AirLineError as error:
         if not ready:
             raise
         code = EXIT_USER_ERROR
-        print(f"error: {error}", file=sys.stderr)
-    summary = counter.summary(source.skipped, fresh.dropped if fresh else 0)
+        print_errors(error)
+    summary = counter.summary(source.skipped, fresh.dropped if fresh else 0, reconnects_of(source))
     if code == 0:
         check_frames(source, summary)
     return code, summary
@@ -334,6 +329,8 @@ def push(
     Raises:
         AirLineError: the source or a sink cannot be used, or not any longer.
     """
+    from frontend.protocols import stopping
+
     sinks: list[Sink] = []
 
     def prepare(frame: Frame) -> None:
@@ -347,6 +344,7 @@ def push(
         closing(source),
         ExitStack() as closing_all,
         closing(frontend.results(source, serial=serial, prepare=prepare)) as results,
+        stopping(source),
     ):
         for result in results:
             started = time.perf_counter()
@@ -364,7 +362,7 @@ def check_frames(source: Source, summary: Summary) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code: 0, 2 for errors a user can mend, 130 after Ctrl-C."""
+    """Entry point; returns the exit code: 0, 2 for errors a user can mend, 130 after Ctrl-C, 143 after SIGTERM."""
     options = build_parser().parse_args(arguments)
     # read when torch loads: threads that spin while they wait stall each other when anything else is running
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -378,12 +376,13 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         if options.list_topics:
             return list_topics(options.input)
-        return run(options, config)
+        with ending_like_interrupts():
+            return run(options, config)
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USER_ERROR
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as interrupt:
+        return exit_code_of(interrupt)
 
 
 if __name__ == "__main__":

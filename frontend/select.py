@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
-from frontend.protocols import Source, is_live
+from frontend.protocols import Source, is_live, reconnects_of, stop
 
 _SIZES = range(16, 16385)
 
@@ -99,6 +99,13 @@ class _Selection:
     @property
     def live(self) -> bool:
         return is_live(self._source)
+
+    @property
+    def reconnects(self) -> int:
+        return reconnects_of(self._source)
+
+    def stop(self) -> None:
+        stop(self._source)
 
     def __iter__(self) -> Iterator[Frame]:
         yielded = 0

@@ -29,6 +29,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         fps: frame rate of folders without timestamps.
         realtime: whether a recording is played at the pace of its stamps, like a live source, which it counts as then.
         max_latency: seconds that a frame of a live source may wait before it is dropped; other sources drop none.
+        reconnect: seconds for which a network stream that drops is tried again; 0 takes its end as the end.
         topic: image topic of a log.
         time_source: where a log's times come from: the messages' headers, their publish time or the log's clock.
         calib: file with the camera's calibration.
@@ -43,6 +44,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     fps: Annotated[float, Meta(gt=0)] = 30.0
     realtime: bool = False
     max_latency: Annotated[float, Meta(gt=0)] = 0.2
+    reconnect: Annotated[float, Meta(ge=0)] = 60.0
     topic: str | None = None
     time_source: Literal["header", "publish", "log"] = "header"
     calib: str | None = None

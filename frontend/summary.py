@@ -33,6 +33,7 @@ class Summary:
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
         dropped_frames: frames of a live source that there was no time for.
+        reconnects: how often a network stream was lost and came back.
     """
 
     frames: int
@@ -45,6 +46,7 @@ class Summary:
     track_length_median: float
     skipped_frames: int
     dropped_frames: int
+    reconnects: int = 0
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values, for JSON."""
@@ -55,7 +57,7 @@ class Summary:
         from rich.table import Table
 
         table = Table(show_header=False)
-        missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames}
+        missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames, "reconnects": self.reconnects}
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
         table.add_row("frames", f"{self.frames} ({notes})" if notes else f"{self.frames}")
         table.add_row("frames/s", f"{self.fps:.1f}")
@@ -103,8 +105,9 @@ class SummaryCounter:
         for stage, spent in stage_ms.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
 
-    def summary(self, skipped: int, dropped: int = 0) -> Summary:
-        """The figures so far, with the numbers of frames that could not be read and that there was no time for."""
+    def summary(self, skipped: int, dropped: int = 0, reconnects: int = 0) -> Summary:
+        """The figures so far, with the numbers of frames that could not be read and that there was no time for,
+        and of reconnects."""
         elapsed = self._latest - self._started
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
@@ -120,4 +123,5 @@ class SummaryCounter:
             track_length_median=float(np.median(sizes)),
             skipped_frames=skipped,
             dropped_frames=dropped,
+            reconnects=reconnects,
         )

@@ -16,7 +16,7 @@ from frontend.calibration import fit_camera
 from frontend.camera import CameraModel
 from frontend.frame import Frame
 from frontend.opencv import Image
-from frontend.protocols import Source, is_live
+from frontend.protocols import Source, is_live, reconnects_of, stop
 from frontend.select import SeekableSource
 
 Array = NDArray[np.float64]
@@ -67,6 +67,13 @@ class _Calibrated:
     @property
     def live(self) -> bool:
         return is_live(self._source)
+
+    @property
+    def reconnects(self) -> int:
+        return reconnects_of(self._source)
+
+    def stop(self) -> None:
+        stop(self._source)
 
     def close(self) -> None:
         self._source.close()

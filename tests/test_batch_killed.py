@@ -66,11 +66,15 @@ def test_a_recording_whose_worker_is_killed_is_run_again(inputs: list[Path], tmp
     assert not list(out.glob(".*.unfinished-*"))
 
 
-def test_ctrl_c_keeps_what_is_finished(inputs: list[Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_keeps_what_is_finished(inputs: list[Path], tmp_path: Path, sign: signal.Signals) -> None:
     out = tmp_path / "out"
     child = start(inputs, out, "--workers", 1, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     worker = unfinished_pid(out, "b")
-    os.killpg(child.pid, signal.SIGINT)  # as a terminal does: the workers get it too
+    if sign == signal.SIGINT:
+        os.killpg(child.pid, sign)  # as a terminal does: the workers get it too
+    else:
+        child.send_signal(sign)
     shown, err = child.communicate(timeout=30)
     assert child.returncode == 130
     assert err.startswith("WARNING: interrupted")

@@ -273,7 +273,7 @@ def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monk
     first, second = frame_results(2)
     sink.write(first)
     time.sleep(1.5)  # the disk is looked at every second
-    with pytest.raises(InputError, match=r"cannot write more of the recording .*MB are free\): is the disk full"):
+    with pytest.raises(InputError, match=r"cannot write more of the recording .*MB are free: is the disk full"):
         sink.write(second)
     with pytest.raises(InputError, match="is the disk full"):
         sink.close()

@@ -65,6 +65,7 @@ class Destination:
             stream.set_sinks(*sinks, *([rr.GrpcSink(relay.url)] if relay is not None else []))
         except RuntimeError as reason:
             raise InputError(f"cannot write the recording {save} ({reason}): free some space") from None
+        self._place = None if save is None else _place(save)
         self._beat.start()
         atexit.register(self._abandon)  # at the exit Rerun waits for a thread that is still flushing, and it for Rerun
 
@@ -75,7 +76,7 @@ class Destination:
             InputError: it cannot be written any more.
         """
         if self._file_error is not None:
-            raise InputError(f"cannot write more of the recording {self._save} ({self._file_error}): is the disk full?")
+            raise InputError(f"cannot write more of the recording {self._save}: {self._file_error}")
 
     def close(self) -> None:
         """Push the rest out, finish the file and let the viewer go.
@@ -90,6 +91,7 @@ class Destination:
         self._stop.set()
         self._beat.join()
         self._flush()
+        self._check_place()
         self._stream.disconnect()
         if self._relay is not None:
             self._relay.cut()
@@ -104,12 +106,18 @@ class Destination:
 
     def _push_out(self) -> None:
         while not self._stop.wait(BEAT_S):
-            self._check_space()
+            if self._check_place():
+                self._check_space()
             self._flush()
+
+    def _check_place(self) -> bool:
+        if self._save is not None and _place(self._save) != self._place:
+            self._file_error = "it was removed or moved while it was written; leave it in its place"
+        return self._file_error is None
 
     def _check_space(self) -> None:
         if self._save is not None and shutil.disk_usage(self._save.absolute().parent).free < SPARE:
-            self._file_error = f"less than {SPARE / 1e6:.0f} MB are free"
+            self._file_error = f"less than {SPARE / 1e6:.0f} MB are free: is the disk full?"
 
     def _flush(self) -> None:
         """Wait until everything logged so far has arrived, or until there is no hope of that."""
@@ -121,7 +129,7 @@ class Destination:
             except RuntimeError as reason:
                 text = str(reason)
                 if "File-writer" in text:
-                    self._file_error = text
+                    self._file_error = f"{text}: is the disk full?"
                 elif self._relay is None:
                     pass  # a viewer that was given up before
                 elif "timed out" not in text:
@@ -139,6 +147,15 @@ class Destination:
             self._relay.cut()
             self._relay = None
             log.warning("lost the Rerun viewer at %s (%s): going on without it", self._address, why)
+
+
+def _place(path: Path) -> tuple[int, int] | None:
+    """Which file is under this name, None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _file_sink(path: Path) -> rr.FileSink:

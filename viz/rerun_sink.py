@@ -21,6 +21,7 @@ from viz.log_lines import LogLines
 from viz.space import Poses, log_lines_3d, log_world, pinhole
 from viz.stages import log_descriptors, log_jpeg, log_region_colours, log_stages
 from viz.statistics import log_figures, log_series
+from viz.streams import open_stream, send_blueprint
 from viz.track_lines import Tails, log_tracks
 from viz.video import VideoReferences
 
@@ -90,7 +91,8 @@ class RerunSink:
         self._tails = Tails()
         self._poses = Poses()
 
-        self._stream = rr.RecordingStream(application_id, batcher_config=batches(live=connect is not None))
+        self._application_id = application_id
+        self._stream = open_stream(application_id, batches(live=connect is not None))
         self._stream.set_log_time_enabled(False)  # two timelines that nobody asked for, and their bytes
         self._stream.set_log_tick_enabled(False)
         self._log_lines = LogLines(self.log)
@@ -226,4 +228,5 @@ class RerunSink:
 
     def _send_layout(self) -> None:
         image = self._image != "none"
-        self._stream.send_blueprint(layout(self._blueprint, image=image, stages=self._stages, space=self._has_space))
+        blueprint = layout(self._blueprint, image=image, stages=self._stages, space=self._has_space)
+        send_blueprint(self._stream, self._application_id, blueprint)

@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from airline.errors import ConfigError
 
 _CURVE = 4096

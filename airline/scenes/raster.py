@@ -12,9 +12,9 @@ Edges are anti-aliased by four samples per pixel on a rotated grid; texture is f
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from airline.scenes.textures import LEVELS, SIZE, STRIDE
 
 NEAR = 0.05  # m

@@ -8,8 +8,8 @@ is one interval per face, found by clipping; no depth buffer and no sampling is 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from airline.compiled import njit
 from airline.scenes.raster import NEAR
 
 BEHIND = 2e-3  # m behind a face before it hides: a line lies on its own faces

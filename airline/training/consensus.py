@@ -11,8 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from airline.compiled import njit
 
 SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view
 SUPPORT_ANGLE = np.deg2rad(8.0)

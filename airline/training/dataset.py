@@ -11,9 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from airline.errors import InputError
 from airline.training.consensus import PseudoLabels, consensus
 from airline.training.progress import in_parallel

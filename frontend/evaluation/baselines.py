@@ -9,10 +9,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from airline.compiled import njit
 from airline.image import to_gray, to_uint8
 from airline.lines import LineSet
 from frontend.evaluation.record import Tracked

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from frontend.evaluation.clip import Truth
 
 UNKNOWN = -1

@@ -9,8 +9,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from frontend.frame import Frame
-from frontend.protocols import Source
-from frontend.sources.realtime import RealtimeSource
+from frontend.protocols import Source, stop
 
 log = logging.getLogger(__name__)
 
@@ -73,13 +72,16 @@ class FreshFrames:
             self._held = False
             self._changed.notify_all()
 
-    def close(self) -> None:
-        """Stop reading as soon as the frame at hand is read, and close the source."""
+    def stop(self) -> None:
+        """End reading as soon as the frame at hand is read, and the iteration with the frames that are waiting."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
-        if isinstance(self._source, RealtimeSource):
-            self._source.stop()
+        stop(self._source)
+
+    def close(self) -> None:
+        """Stop, and close the source."""
+        self.stop()
         if self._reader.ident is not None:
             self._reader.join()
         self._source.close()

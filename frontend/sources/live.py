@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import re
+import threading
 import time
 from collections.abc import Iterator
 
 import cv2
 
-from airline.errors import InputError
+from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
-from frontend.opencv import as_frame_image, quiet
+from frontend.opencv import Image, as_frame_image, quiet
 
+log = logging.getLogger(__name__)
+
+RECONNECT_S = 60.0
 _TIMEOUT_MS = 5000
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 5.0
 
 
 class LiveSource:
@@ -20,22 +26,37 @@ class LiveSource:
 
     The clock is read once and then advanced by the monotonic clock, so that stamps never step back.
 
+    A stream that drops, or sends nothing for five seconds, is opened again, with growing waits in between. Its frames
+    go on with the next number, and the gap shows in the stamps, at which the tracker begins anew.
+
     Args:
         device: a camera's number, or a URL (rtsp://, http://, udp://, ...).
+        reconnect_s: for how many seconds after its last frame a stream is tried; 0 takes its end as the end.
+
+    Attributes:
+        reconnects: how often a stream has come back.
 
     Raises:
-        InputError: the camera or stream cannot be opened; while iterating, it opened but sends nothing.
+        InputError: the camera or stream cannot be opened; while iterating, it opened but sends nothing, or was lost.
+        ConfigError: no such time.
     """
 
-    def __init__(self, device: int | str) -> None:
+    def __init__(self, device: int | str, reconnect_s: float = RECONNECT_S) -> None:
+        if not reconnect_s >= 0:
+            raise ConfigError(f"a stream can be reconnected for 0 or more seconds, not {reconnect_s}")
+        self.reconnects = 0
+        self._device = device
+        self._reconnect_s = reconnect_s
         # A URL may carry a password, which belongs in no message.
         self._title = f"camera {device}" if isinstance(device, int) else re.sub(r"//[^/@]*@", "//", device)
-        with quiet():
-            self._capture = _open_camera(device) if isinstance(device, int) else _open_stream(device)
+        self._capture = _open(device)
         if not self._capture.isOpened():
             hint = "is it connected and free?" if isinstance(device, int) else "is the address right and reachable?"
             raise InputError(f"cannot open {self._title}: {hint}")
+        self.live = not 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
+        """False for a recording behind a URL, which waits for who reads it."""
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._stopped = threading.Event()
 
     @property
     def name(self) -> str:
@@ -49,30 +70,73 @@ class LiveSource:
     def skipped(self) -> int:
         return 0
 
-    @property
-    def live(self) -> bool:
-        """False for a recording behind a URL, which waits for who reads it."""
-        return not 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
-
     def __iter__(self) -> Iterator[Frame]:
         index = 0
         last_ns = 0
-        while self._capture.grab():
-            stamp_ns = max(self._clock_offset_ns + time.monotonic_ns(), last_ns + 1)
-            try:
-                ok, pixels = self._capture.retrieve()
-            except cv2.error:  # a damaged stream may ask for an impossible size
+        while not self._stopped.is_set():
+            found = self._read() or (self._read_again() if index else None)
+            if found is None:
                 break
-            image = as_frame_image(pixels) if ok else None
-            if image is None:
-                break
+            stamp_ns, image = found
+            stamp_ns = max(self._clock_offset_ns + stamp_ns, last_ns + 1)
             yield Frame(index, stamp_ns, image)
             index, last_ns = index + 1, stamp_ns
-        if index == 0:
+        if index == 0 and not self._stopped.is_set():
             raise InputError(f"{self._title} opened but sends no picture: does another program use it?")
 
+    def stop(self) -> None:
+        """End the iteration, whose thread may be waiting for a stream to come back."""
+        self._stopped.set()
+
     def close(self) -> None:
+        self.stop()
         self._capture.release()
+
+    def _read(self) -> tuple[int, Image] | None:
+        """The next image and when it came, by the monotonic clock; None where there is none any more."""
+        try:
+            if not self._capture.grab():
+                return None
+            stamp_ns = time.monotonic_ns()
+            ok, pixels = self._capture.retrieve()
+        except cv2.error:  # a damaged stream may ask for an impossible size
+            return None
+        image = as_frame_image(pixels) if ok else None
+        return None if image is None else (stamp_ns, image)
+
+    def _read_again(self) -> tuple[int, Image] | None:
+        """The first image after the stream has come back; None where its end is the end.
+
+        Raises:
+            InputError: it does not come back, or it was a camera.
+        """
+        if not self.live or (self._reconnect_s == 0 and isinstance(self._device, str)):
+            return None
+        if isinstance(self._device, int):
+            raise InputError(f"{self._title} sends no more pictures: is it still connected?")
+        begin_s = time.monotonic()
+        log.warning("%s: the stream was lost: trying to reconnect for %g s", self._title, self._reconnect_s)
+        wait_s = _FIRST_WAIT_S
+        while (left_s := self._reconnect_s - (time.monotonic() - begin_s)) > 0:
+            if self._stopped.wait(min(wait_s, left_s)):
+                return None
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+            self._capture.release()
+            self._capture = _open(self._device)
+            found = self._read() if self._capture.isOpened() else None
+            if found is not None:
+                self.reconnects += 1
+                log.warning("%s: the stream is back after %.1f s", self._title, time.monotonic() - begin_s)
+                return found
+        raise InputError(
+            f"{self._title} was lost and did not come back within {self._reconnect_s:g} s: what was done so far is "
+            "kept; see whether it still sends, or wait longer by --reconnect"
+        )
+
+
+def _open(device: int | str) -> cv2.VideoCapture:
+    with quiet():
+        return _open_camera(device) if isinstance(device, int) else _open_stream(device)
 
 
 def _open_camera(number: int) -> cv2.VideoCapture:

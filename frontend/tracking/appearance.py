@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from airline.score import between, bilinear
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line

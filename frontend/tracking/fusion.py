@@ -6,9 +6,9 @@ A line's errors are its offset across itself at its middle, px, and its angle, r
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from airline.compiled import njit
 from frontend.tracking.borders import inside
 
 CORRELATION = 8.0  # px of a line's length that err alike: pixels share their neighbourhood

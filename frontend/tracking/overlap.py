@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from airline.compiled import njit
 
 AGAIN = 0.65  # weight of the part seen last against the whole track in what a line covers
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -49,6 +50,7 @@ class OutputFile:
         with errors_of(path):
             self.file: BinaryIO = path.open("wb" if overwrite else "xb")
         self.is_open = True
+        self._checked = time.monotonic()
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
@@ -57,6 +59,8 @@ class OutputFile:
             raise InputError(f"cannot write '{self.path}': it is closed")
         try:
             with errors_of(self.path):
+                if time.monotonic() - self._checked >= FLUSH_S:
+                    self._check_place()
                 yield self.file
         except InputError:
             self.is_open = False
@@ -68,5 +72,22 @@ class OutputFile:
         """Close the file; safe to call twice."""
         if self.is_open:
             with self.writing() as file:
+                self._check_place()
                 file.close()
             self.is_open = False
+
+    def _check_place(self) -> None:
+        """Refuse to go on with a file that nobody could find; raises InputError."""
+        self._checked = time.monotonic()
+        if not is_at(self.file.fileno(), self.path):
+            raise InputError(
+                f"cannot write '{self.path}': it was removed or moved while it was written; leave it in its place"
+            )
+
+
+def is_at(descriptor: int, path: Path) -> bool:
+    """Whether an open file still has its name; raises OSError where that cannot be told."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except (FileNotFoundError, NotADirectoryError):
+        return False

@@ -63,6 +63,8 @@ class ParquetTrackSink:
         try:
             finish_journal(self._journal, self._path, overwrite=self._overwrite)
         except InputError as error:
+            if not self._journal.exists():
+                raise
             raise InputError(f"{error}; the tracks are in '{self._journal}', for python -m logs.repair") from error
 
 
