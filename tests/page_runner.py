@@ -47,22 +47,25 @@ class Backend:
         assert ids.dtype == np.int64
 
 
-def names() -> dict[str, Any]:
-    """What the pages' Python blocks take as given."""
+def names(page: str) -> dict[str, Any]:
+    """What a page's Python blocks take as given."""
     import cv2
-    import torch
 
     from frontend import CameraModel
 
     images = [cv2.imread(f"images/img{k}.png") for k in range(4)]
-    return {
+    given = {
         "backend": Backend(),
         "image": images[0],
         "images": images,
         "camera": CameraModel(160, 120, 115.0, 115.0, 79.5, 59.5),
-        "my_torch_net": torch.nn.Conv2d(1, 1, 3, padding=1),
         "__name__": "__main__",
     }
+    if "my_torch_net" in page:
+        import torch
+
+        given["my_torch_net"] = torch.nn.Conv2d(1, 1, 3, padding=1)
+    return given
 
 
 def run_command(command: str) -> str | None:
@@ -141,7 +144,7 @@ def run_page(page: str) -> list[str]:
         for number, text in block.commands():
             started = time.monotonic()
             if block.language == "python":
-                given = given or names()
+                given = given or names(page)
                 failure = run_python(text, given)
             else:
                 failure = run_command(text)
