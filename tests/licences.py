@@ -1,5 +1,6 @@
-"""Licences of everything that an installation needs: `python -m tests.licences` prints a table, and fails where one is not
-permissive and not named here.
+"""Licences of everything that an installation needs: `python -m tests.licences` prints a table.
+
+It fails where one is neither permissive nor named here.
 """
 
 from __future__ import annotations

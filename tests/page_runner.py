@@ -1,7 +1,7 @@
 """Runs the code blocks of a page in the present folder: `python -m tests.page_runner PAGE`.
 
-`python -m MODULE` runs inside this process, which loads everything once; all else goes to a shell. The Python blocks of a
-page share their names, as a reader's session does.
+`python -m MODULE` runs inside this process, which loads everything once; all else goes to a shell. The Python blocks of
+a page share their names, as a reader's session does.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The documentation's pages: their code blocks, with what a page says of running them, and their links.
 
-A comment above a block says what the checks do otherwise than a reader, and why. It concerns the whole block, or those of its
-lines that contain the text between the last backticks:
+A comment above a block says what the checks do otherwise than a reader, and why. It concerns the whole block, or those
+of its lines that contain the text between the last backticks:
 
     <!-- ci: skip because REASON -->
     <!-- ci: skip `frontend.run 0` because REASON -->

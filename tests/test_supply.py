@@ -84,5 +84,10 @@ def test_a_wheel_with_too_much_or_too_little_is_told(tmp_path: Path) -> None:
         made.writestr("airline/film.bin", bytes(100_000))
         made.writestr("tests/conftest.py", "")
     faults = wheel.faults_of_wheel(path)
-    for part in ("default.safetensors is missing", "viz/py.typed is missing", "film.bin has", "tests/conftest.py does not"):
+    for part in (
+        "default.safetensors is missing",
+        "viz/py.typed is missing",
+        "film.bin has",
+        "tests/conftest.py does not",
+    ):
         assert any(part in fault for fault in faults), part

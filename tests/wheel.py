@@ -50,7 +50,10 @@ def main() -> int:
     (wheel,), (sources,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
     faults = [f"{wheel.name}: {fault}" for fault in faults_of_wheel(wheel)]
     faults += [f"{sources.name}: {fault}" for fault in faults_of_sources(sources)]
-    print("\n".join(faults) or f"{wheel.name}: {wheel.stat().st_size} bytes, {sources.name}: {sources.stat().st_size} bytes")
+    print(
+        "\n".join(faults)
+        or f"{wheel.name}: {wheel.stat().st_size} bytes, {sources.name}: {sources.stat().st_size} bytes"
+    )
     return 1 if faults else 0
 
 
