@@ -80,8 +80,8 @@ class DetectorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 def preset(name: str) -> DetectorConfig:
-    """Settings by name: "default", "fast" for its smaller network, or "paper" for the paper's scheme, repaired as the
-    README says.
+    """Settings by name: "default", "fast" for its smaller network, or "paper" for the paper's scheme, repaired as
+    docs/detector.md says.
 
     Raises:
         ConfigError: no such preset.

@@ -161,7 +161,9 @@ def build_parser() -> argparse.ArgumentParser:
     where = parser.add_argument_group("where it runs").add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="recordings at once (default: one per two cores)")
     where.add_argument(
-        "--ray", metavar="ADDRESS", help="on a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT; see README"
+        "--ray",
+        metavar="ADDRESS",
+        help="on a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT; see docs/batch.md",
     )
     add_settings(parser)
     return parser

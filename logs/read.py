@@ -72,7 +72,8 @@ def _read_parquet(path: Path) -> Iterator[LineTracks]:
             if any(group.total_byte_size > _GROUP_BYTES for group in groups):
                 raise InputError(f"a row group claims more than {_GROUP_BYTES} bytes")
             notes.add(file.metadata.metadata)
-            yield from read_frames(file.iter_batches(_BATCH_ROWS, columns=COLUMNS), notes)
+            batches = file.iter_batches(_BATCH_ROWS, columns=COLUMNS) if groups else ()  # pyarrow 18 stumbles over none
+            yield from read_frames(batches, notes)
     except DAMAGE as error:
         reason = " ".join(str(error).split())
         raise InputError(f"cannot read tracks from '{path}', it is no Parquet file or damaged: {reason}") from error

@@ -40,30 +40,9 @@ def open_log() -> Iterator[Callable[[Path], McapFile]]:
         yield lambda path: stack.enter_context(closing(McapFile(path)))
 
 
-RECTANGLES = [((40, 30, 119, 89),), ((20, 20, 69, 99), (90, 50, 139, 79))]  # per image: left, top, right, bottom
-
-
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    """Bright rectangles on a dark ground, 160x120; all edges are annotated densely, the first four sparsely."""
-    import cv2
-    import numpy as np
+    """Bright rectangles on a dark ground, annotated; see `write_annotated`."""
+    from tests.data_sets import write_annotated
 
-    folder = tmp_path / "rectangles"
-    for part in ("images", "lines_denis", "lines_cho"):
-        (folder / part).mkdir(parents=True)
-    for number, boxes in enumerate(RECTANGLES):
-        image = np.full((120, 160, 3), 40, np.uint8)
-        for left, top, right, bottom in boxes:
-            image[top : bottom + 1, left : right + 1] = 100
-        cv2.imwrite(str(folder / "images" / f"{number}.png"), image)
-        rows = [" ".join(map(str, row)) + "\n" for box in boxes for row in _outline(*box)]
-        (folder / "lines_cho" / f"{number}.txt").write_text("".join(rows))
-        (folder / "lines_denis" / f"{number}.txt").write_text("".join(rows[:4]))
-    return folder
-
-
-def _outline(left: int, top: int, right: int, bottom: int) -> list[tuple[float, ...]]:
-    """The edges lie between the last pixel inside and the first one outside."""
-    x0, y0, x1, y1 = left - 0.5, top - 0.5, right + 0.5, bottom + 0.5
-    return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
+    return write_annotated(tmp_path / "rectangles")

@@ -11,13 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 
 from airline.errors import InputError
 from frontend.evaluate import main
 from frontend.evaluation.icl import LabelledClip, read_numbers
 from frontend.evaluation.posed import PosedClip
+from tests.data_sets import write_labelled, write_posed
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -35,39 +35,12 @@ def shared(name: str) -> Path:
 
 @pytest.fixture
 def labelled(tmp_path: Path) -> Path:
-    """Three frames; one line goes through all, one appears in the second, one skips it."""
-    folder = tmp_path / "labelled"
-    for part in ("images", "lines", "associations"):
-        (folder / part).mkdir(parents=True)
-    rows = [
-        "10.5,20.5,90.5,20.5\n30,10,30,70\n",
-        "50,5,60,40\n11.5,20.5,91.5,20.5\n",
-        "12.5,20.5,92.5,20.5\n30,10,30,70\n",
-    ]
-    for k, text in enumerate(rows):
-        cv2.imwrite(str(folder / "images" / f"{k}.png"), np.full((80, 100, 3), 40 * k, np.uint8))
-        (folder / "lines" / f"{k}.csv").write_text(text)
-    (folder / "associations" / "0_1.csv").write_text("0.0,1.0\n")
-    (folder / "associations" / "1_2.csv").write_text("1,0\n")
-    return folder
+    return write_labelled(tmp_path / "labelled")
 
 
 @pytest.fixture
 def posed(tmp_path: Path) -> Path:
-    """Six views of a rendered room with their poses."""
-    from airline.scenes import Sequence
-
-    folder = tmp_path / "posed"
-    (folder / "images").mkdir(parents=True)
-    sequence = Sequence(kind="indoor", motion="handheld", seed=3, frames=6, size=(320, 240))
-    rows = []
-    for k, view in enumerate(sequence):
-        cv2.imwrite(str(folder / "images" / f"{k:03}.png"), view.image)
-        rows.append(" ".join(map(str, view.pose[:3].ravel())))
-    (folder / "poses.txt").write_text("\n".join(rows))
-    projection = np.column_stack([sequence.K, np.zeros(3)])
-    (folder / "calib.txt").write_text("P0: " + " ".join(map(str, projection.ravel())) + "\n")
-    return folder
+    return write_posed(tmp_path / "posed")
 
 
 def test_labels_become_identities(labelled: Path) -> None:

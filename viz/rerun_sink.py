@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -60,7 +61,7 @@ class RerunSink:
         self,
         application_id: str = "airline-frontend",
         *,
-        save: Path | None = None,
+        save: str | os.PathLike[str] | None = None,
         connect: str | None = None,
         name: str | None = None,
         image: ImageMode = "jpeg",
@@ -97,7 +98,7 @@ class RerunSink:
         self._stream.set_log_tick_enabled(False)
         self._log_lines = LogLines(self.log)
         try:
-            self._destination = Destination(self._stream, save, connect)
+            self._destination = Destination(self._stream, None if save is None else Path(save), connect)
         except AirLineError:
             self._log_lines.close()
             raise

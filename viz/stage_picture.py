@@ -1,0 +1,114 @@
+"""The detector's stages on one image, as a picture: `python -m viz.stage_picture IMAGE --out stages.jpg`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.command import Parser, exit_code
+from airline.detector import AirLine
+from airline.errors import InputError
+from airline.image import to_gray, to_uint8
+from airline.trace import Trace
+from frontend.colours import track_colours
+from viz.overlay import SHIFT
+from viz.pictures import edge_image, orientation_image
+
+WIDTH = 480  # px of each panel
+STRIP = 22  # px of its title
+QUALITY = 85  # of a JPEG
+
+Picture = NDArray[np.uint8]
+
+
+def stage_picture(gray: Picture, trace: Trace) -> Picture:
+    """Image, edges, orientations, regions, segments and scores beside each other.
+
+    Args:
+        gray: (H, W) uint8, the image.
+        trace: what the detector made of it.
+
+    Returns:
+        (h, 3 * WIDTH, 3) uint8 BGR.
+    """
+    lines = trace.lines
+    colours = track_colours(np.arange(len(lines)))[:, ::-1]
+    regions = np.zeros((*gray.shape, 3), np.uint8)
+    supporting = trace.labels >= 0
+    regions[trace.pixels[supporting, 1], trace.pixels[supporting, 0]] = colours[trace.labels[supporting]]
+    by_score = cv2.applyColorMap(np.rint(255 * lines.scores).astype(np.uint8), cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
+    panels = {
+        "image": gray,
+        "edges: probability": edge_image(trace),
+        "orientation: hue is the angle": np.ascontiguousarray(orientation_image(trace)[:, :, ::-1]),
+        f"grow: pixels behind {len(lines)} lines": regions,
+        "fit, refine: segments": _with_lines(gray, lines.segments, colours),
+        "scores: blue 0, yellow 1": _with_lines(gray, lines.segments, by_score),
+    }
+    titled = [_panel(title, picture) for title, picture in panels.items()]
+    return np.vstack([np.hstack(titled[:3]), np.hstack(titled[3:])])
+
+
+def _with_lines(gray: Picture, segments: NDArray[np.float32], colours: Picture) -> Picture:
+    canvas = np.repeat((gray // 2)[:, :, None], 3, axis=2)
+    for points, colour in zip(np.rint(segments * (1 << SHIFT)).astype(np.int32), colours.tolist(), strict=True):
+        cv2.polylines(canvas, [points], False, colour, 2, cv2.LINE_AA, SHIFT)
+    return canvas
+
+
+def _panel(title: str, picture: Picture) -> Picture:
+    height = max(1, round(picture.shape[0] * WIDTH / picture.shape[1]))
+    how = cv2.INTER_AREA if picture.shape[1] > WIDTH else cv2.INTER_NEAREST
+    resized = np.asarray(cv2.resize(picture, (WIDTH, height), interpolation=how), np.uint8)
+    if resized.ndim == 2:
+        resized = np.repeat(resized[:, :, None], 3, axis=2)
+    head = np.full((STRIP, WIDTH, 3), 255, np.uint8)
+    cv2.putText(head, title, (6, STRIP - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.vstack([head, resized])
+
+
+def read_image(path: Path | None) -> Picture:
+    """A grey image from a file, or a frame of the built-in clip.
+
+    Raises:
+        InputError: no image can be read from there.
+    """
+    if path is None:
+        from airline.scenes import Sequence
+
+        return to_uint8(to_gray(Sequence(kind="indoor", motion="handheld", seed=12).render(60).image))
+    data = np.fromfile(path, np.uint8) if path.is_file() else np.zeros(0, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if image is None:
+        raise InputError(f"cannot read {path}: give an image file")
+    return np.asarray(image, np.uint8)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Detect, draw, write; raises AirLineError."""
+    gray = read_image(options.image)
+    picture = stage_picture(gray, AirLine(options.preset).trace(gray))
+    try:
+        written = cv2.imwrite(str(options.out), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    except cv2.error:  # an ending that OpenCV does not know
+        written = False
+    if not written:
+        raise InputError(f"cannot write {options.out}: give a .png or .jpg file in a folder you may write to")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = Parser(prog="python -m viz.stage_picture", description="The detector's stages on one image.")
+    parser.add_argument("image", type=Path, nargs="?", help="image file (default: a frame of the built-in clip)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".jpg or .png to write")
+    parser.add_argument("--preset", choices=["default", "fast", "paper"], default="default")
+    return exit_code(run, parser.parse_args(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
