@@ -15,7 +15,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
-EXTRAS = ("fleet", "kornia", "plots")  # what users install; not the tools of development
+EXTRAS = ("fleet", "kornia", "odometry", "plots")  # what users install; not the tools of development
 PERMISSIVE = re.compile(
     r"apache|\bmit\b|bsd|\bisc\b|zlib|\bpsf\b|python-2|python software|unlicense|0bsd|cc0|hpnd|any-osi", re.IGNORECASE
 )
