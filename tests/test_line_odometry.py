@@ -22,7 +22,9 @@ from line_odometry.pose import corners, pose_from_lines, pose_of_second
 from line_odometry.score import TrueLines, align, mapped
 from line_odometry.triangulation import triangulate
 from line_odometry.views import View, gather
+from tests.data_sets import write_posed
 from tests.test_examples import example
+from tests.test_frontend_evaluate import shared
 
 FOCAL = 500.0
 
@@ -270,6 +272,21 @@ def test_the_command_writes_what_it_prints(tmp_path):
         error = row["ate_percent"]
         assert error is None or f"{error:.3f}".rstrip("0").rstrip(".") in done.stdout
     assert figures[TRUE_LINES]["ate_percent"] < figures[OURS]["ate_percent"] < 1
+
+
+def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
+    write_posed(tmp_path / "clip")
+    done = example("10_line_odometry", tmp_path, "--clip", "clip", "--json", "figures.json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())[OURS]
+    assert figures["ate_percent"] is None
+    assert figures["lost_frames"] > 0
+
+
+def test_a_drive_on_a_street(tmp_path):
+    done = example("10_line_odometry", tmp_path, "--clip", shared("kitti_clip"), "--json", "figures.json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "figures.json").read_text())[OURS]["ate_percent"] < 2
 
 
 def test_a_folder_that_is_no_clip_is_one_line(tmp_path):

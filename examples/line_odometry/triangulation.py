@@ -12,6 +12,7 @@ from line_odometry.geometry import TINY, Array
 from line_odometry.views import Observations
 
 LEAST_NOISE = 0.15  # px: agreement closer than this is luck
+PART_VIEWS = 3  # views that a part of a line must have been seen in
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Triangulated:
     Attributes:
         lines: (N, 2, 3) points, in the middle of what was seen, and unit directions.
         rms: (N,) distance of the observed end points, px.
-        reach: (N, 2) where on the line, from its point, it begins and ends: what at least `PIECES` views saw.
+        reach: (N, 2) where on the line, from its point, it begins and ends: what at least `PART_VIEWS` views saw of it.
         spread: (N,) standard deviation of the worse end across the line, as share of its distance from the cameras.
         ahead: (N,) whether all that was seen of it lies before the cameras.
     """
@@ -36,9 +37,6 @@ class Triangulated:
     def segments(self) -> Array:
         """(N, 2, 3) end points in space."""
         return self.lines[:, :1] + self.reach[:, :, None] * self.lines[:, 1:]
-
-
-PIECES = 3
 
 
 def triangulate(seen: Observations, poses: Array, start: Array | None = None) -> Triangulated:
@@ -81,12 +79,12 @@ def meet_planes(seen: Observations, poses: Array) -> Array:
 def judge(seen: Observations, lines: Array, poses: Array) -> Triangulated:
     """What the observations say of lines that were fitted to them."""
     own, counts = poses[seen.view], np.maximum(seen.counts, 1)
-    _, depth, along = _nearest(seen.ends.mean(axis=1), lines[seen.line], own)
+    depth, along = _nearest(seen.ends.mean(axis=1), lines[seen.line], own)
     lines = lines.copy()
     lines[:, 0] += (seen.sums(along) / counts)[:, None] * lines[:, 1]
     sides = [_nearest(seen.ends[:, end], lines[seen.line], own) for end in range(2)]
-    nearest = np.minimum(sides[0][1], sides[1][1])
-    reach = _covered(seen, np.sort(np.stack([sides[0][2], sides[1][2]], axis=1), axis=1))
+    nearest = np.minimum(sides[0][0], sides[1][0])
+    reach = _covered(seen, np.sort(np.stack([sides[0][1], sides[1][1]], axis=1), axis=1))
     rms = np.sqrt(costs(seen, lines, poses) / counts)
     covariance = np.linalg.inv(Equations.at(seen, lines, poses).hessian)
     far = np.abs(reach).max(axis=1)
@@ -100,25 +98,21 @@ def judge(seen: Observations, lines: Array, poses: Array) -> Triangulated:
     return Triangulated(lines, rms, reach, spread, ahead & (reach[:, 0] < reach[:, 1]))
 
 
-def _nearest(points: Array, lines: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """Where lines (M, 2, 3) come nearest to the rays through image points (M, 3).
-
-    Returns:
-        (M, 3) points of the lines, (M,) their depths, (M,) their places along the lines.
-    """
+def _nearest(points: Array, lines: Array, poses: Array) -> tuple[Array, Array]:
+    """(M,) depths and (M,) places along lines (M, 2, 3) where they come nearest to the rays of image points (M, 3)."""
     rays = np.einsum("mij,mj->mi", poses[:, :, :3], points)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     away = lines[:, 0] - poses[:, :, 3]
     cosine = (lines[:, 1] * rays).sum(axis=1)
     along = (cosine * (rays * away).sum(axis=1) - (lines[:, 1] * away).sum(axis=1)) / np.maximum(1 - cosine**2, TINY)
     found = lines[:, 0] + along[:, None] * lines[:, 1]
-    return found, np.einsum("mi,mi->m", found - poses[:, :, 3], poses[:, :, 2]), along
+    return np.einsum("mi,mi->m", found - poses[:, :, 3], poses[:, :, 2]), along
 
 
 def _covered(seen: Observations, spans: Array) -> Array:
-    """(N, 2) first and last place that `PIECES` of a line's spans (M, 2) reach."""
+    """(N, 2) first and last place that `PART_VIEWS` of a line's spans (M, 2) reach."""
     reach = np.zeros((len(seen.ids), 2))
     for row, (start, count) in enumerate(zip(seen.starts.tolist(), seen.counts.tolist(), strict=True)):
-        own, k = spans[start : start + count], min(PIECES, count) - 1
+        own, k = spans[start : start + count], min(PART_VIEWS, count) - 1
         reach[row] = np.partition(own[:, 0], k)[k], -np.partition(-own[:, 1], k)[k]
     return reach
