@@ -5,7 +5,10 @@ track is triangulated; those that are known to half a percent of their distance 
 """
 
 import argparse
+import os
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices this small are done before a second thread wakes
 
 import numpy as np
 

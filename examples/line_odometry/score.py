@@ -12,7 +12,8 @@ from evo.core.trajectory import PosePath3D
 from line_odometry.geometry import TINY, Array
 
 MAX_ANGLE = 10.0  # degrees between a line and the one that it is near to
-CHUNK = 64  # samples that are compared at once
+STEP = 0.01  # share of the depth between samples of a line
+CHUNK = 256  # samples that are compared at once
 
 
 @dataclass(frozen=True)
@@ -80,23 +81,26 @@ def mapped(segments: Array, true: TrueLines, tolerance: float = 0.02) -> tuple[f
         tolerance: share of the depth.
     """
     near = tolerance * true.depth
-    return _covered(true.visible, segments, near), _covered(segments, true.every, near)
+    step = STEP * true.depth
+    return _covered(true.visible, segments, near, step), _covered(segments, true.every, near, step)
 
 
-def _covered(segments: Array, by: Array, near: float) -> float:
-    """Percent of the length of segments (N, 2, 3) that others (M, 2, 3) cover."""
+def _covered(segments: Array, by: Array, near: float, step: float) -> float:
+    """Percent of the length of segments (N, 2, 3) that others (M, 2, 3) cover, looked at every `step`."""
     if not len(segments) or not len(by):
         return 0.0
-    points, directions, lengths = _samples(segments, near / 2)
+    points, directions, lengths = _samples(segments, step)
     along = by[:, 1] - by[:, 0]
     size = np.maximum(np.linalg.norm(along, axis=1), TINY)
     along /= size[:, None]
+    starts_along, starts_squared = (by[:, 0] * along).sum(axis=1), (by[:, 0] ** 2).sum(axis=1)
     covered = 0.0
     for first in range(0, len(points), CHUNK):
         part = slice(first, first + CHUNK)
-        away = points[part, None] - by[:, 0]
-        place = np.clip((away * along).sum(axis=2), 0, size)
-        squared = ((away - place[:, :, None] * along) ** 2).sum(axis=2)
+        place = points[part] @ along.T - starts_along
+        beyond = place - np.clip(place, 0, size)
+        from_start = (points[part] ** 2).sum(axis=1)[:, None] - 2 * points[part] @ by[:, 0].T + starts_squared
+        squared = from_start - place**2 + beyond**2
         alike = np.abs(directions[part] @ along.T) > np.cos(np.deg2rad(MAX_ANGLE))
         covered += lengths[part][((squared < near**2) & alike).any(axis=1)].sum()
     return float(100 * covered / lengths.sum())
