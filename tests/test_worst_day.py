@@ -54,7 +54,9 @@ def test_being_told_to_end_is_like_ctrl_c(long_clip: Path, tmp_path: Path, sign:
     """Also when it is told twice, as `timeout` does."""
     out, save, summary = tmp_path / "t.parquet", tmp_path / "t.rrd", tmp_path / "t.json"
     outputs = ("--out", out, "--save", save, "--summary", summary)
+    before = signal.signal(sign, signal.SIG_DFL)  # under nohup it is ignored, by what is started here too
     with python(long_clip, "--realtime", *outputs, stdout=-1, stderr=-1) as run:
+        signal.signal(sign, before)
         wait_for(Path(f"{out}.unfinished"), 200_000, run)
         run.send_signal(sign)
         time.sleep(0.02)
