@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import logging
 import os
@@ -289,8 +288,6 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     def open_all() -> Iterator[Sink]:
         nonlocal ready
         yield from open_sinks()
-        gc.collect()
-        gc.freeze()  # or looking through all that was imported would take 60 ms of some frame's time, now and then
         ready = True
 
     try:
