@@ -34,8 +34,8 @@ class Outcome:
     err: str
 
 
-def command(*arguments: object) -> Outcome:
-    """`python -m frontend.run` with these arguments; under pytest, log lines go to `caplog` and not to stderr."""
+def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outcome:
+    """A command line, `frontend.run` or another, here; under pytest, log lines go to `caplog` and not to stderr."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         try:

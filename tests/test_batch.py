@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
 import os
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +29,7 @@ BROKEN = {"cut", "empty", "no_camera"}
 
 def batch(*arguments: object) -> Outcome:
     """`python -m frontend.batch` with these arguments; its workers are processes."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        try:
-            code: int | str | None = main([str(argument) for argument in arguments])
-        except SystemExit as stop:  # argparse
-            code = stop.code
-    return Outcome(code, out.getvalue(), err.getvalue())
+    return command(*arguments, main=main)
 
 
 def write_times(out: Path) -> dict[str, int]:

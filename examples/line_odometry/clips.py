@@ -20,7 +20,7 @@ from line_odometry.geometry import Array, homogeneous
 from line_odometry.score import TrueLines
 from line_odometry.views import View
 
-OURS, TRUE_LINES, LSD = "AirLine and tracker", "true lines", "LSD and nearest neighbour"
+OURS, TRUE_LINES, LSD = "AirLine", "true lines", "LSD and nearest"
 
 
 @dataclass(frozen=True)
