@@ -20,6 +20,7 @@ from airline.orientation import GradientOrientation, LineKernelOrientation, Orie
 from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
 from airline.refine import ImageRefiner
 from airline.runtimes import Runtime
+from airline.team import Team, cores
 from airline.trace import Trace
 
 
@@ -62,7 +63,8 @@ class AirLine:
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
             runtime: what the U-Net runs in: "auto", "openvino", "torch" or "cuda"; see `airline.runtimes`.
-            threads: how many cores the U-Net takes in OpenVINO; all by default, as is best for one image at a time.
+            threads: how many cores the U-Net in OpenVINO and the stages after it take; all by default, as is best for
+                one image at a time.
 
         Raises:
             ConfigError: a setting is unknown or out of range, or the runtime is not here.
@@ -70,8 +72,9 @@ class AirLine:
         """
         settings = settings_of(preset) if config is None else config
         self.edges = edges if edges is not None else _edges(settings, runtime, threads)
-        self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings, self.edges)
-        self.refiner = ImageRefiner(settings.refine.max_shift)
+        team = Team(cores() if threads is None else threads)
+        self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings, self.edges, team)
+        self.refiner = ImageRefiner(settings.refine.max_shift, team)
 
     def __call__(self, image: ArrayLike) -> LineSet:
         """Line segments of an image.
@@ -156,19 +159,26 @@ def _edges(config: DetectorConfig, runtime: Runtime, threads: int | None) -> Edg
 
 
 def _back_end(
-    config: DetectorConfig, detector: EdgeDetector
+    config: DetectorConfig, detector: EdgeDetector, team: Team
 ) -> tuple[PixelSelector, OrientationDetector, RegionGrower, LineFitter]:
     edges, orientation, grow, fit = config.edges, config.orientation, config.grow, config.fit
     smoothing = (1 if isinstance(detector, UNetEdges) else 3) if edges.smoothing == "auto" else edges.smoothing
     return (
-        RidgePixels(edges.threshold, smoothing) if edges.thin else ThresholdPixels(edges.threshold),
+        RidgePixels(edges.threshold, smoothing, team) if edges.thin else ThresholdPixels(edges.threshold),
         GradientOrientation()
         if orientation.kind == "gradient"
-        else LineKernelOrientation(orientation.channels, orientation.kernel_size, orientation.subtract_mean),
+        else LineKernelOrientation(orientation.channels, orientation.kernel_size, orientation.subtract_mean, team),
         RegionGrower(grow.similarity, grow.min_pixels, edges.seed_threshold),
         PaperFitter()
         if fit.kind == "paper"
         else TotalLeastSquaresFitter(
-            fit.min_length, fit.max_deviation, fit.max_gap, fit.max_offset, fit.max_angle, fit.max_reach, fit.min_score
+            fit.min_length,
+            fit.max_deviation,
+            fit.max_gap,
+            fit.max_offset,
+            fit.max_angle,
+            fit.max_reach,
+            fit.min_score,
+            team,
         ),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,8 @@ from airline.lines import LineSet
 from airline.moments import fit_regions, residuals
 from airline.pixels import EdgePixels
 from airline.reach import reach
-from airline.score import line_score, line_scores
+from airline.score import line_scores, score
+from airline.team import ALONE, Team
 
 
 class LineFitter(Protocol):
@@ -55,6 +56,7 @@ class TotalLeastSquaresFitter:
         max_angle: and differ in direction by this much, degrees.
         max_reach: end points move on along the edge by at most this much, px, and a quarter of the line's length.
         min_score: lines with a lower score (`airline.score`) are dropped, in [0, 1].
+        team: threads that share the work.
     """
 
     min_length: float = 8.0
@@ -64,6 +66,7 @@ class TotalLeastSquaresFitter:
     max_angle: float = 8.0
     max_reach: float = 14.0
     min_score: float = 0.15
+    team: Team = field(default=ALONE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if (
@@ -77,14 +80,20 @@ class TotalLeastSquaresFitter:
     ) -> tuple[LineSet, NDArray[np.int32]]:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
-        parts, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation)
+        rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation)
         merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
-        reach(moments, merged, edge.support, self.max_reach)
-        chosen, scores, lines_of = _choose(moments, merged, edge.support, self.min_length, np.float32(self.min_score))
-        labels, means = _vote(parts, lines_of, descriptors, len(chosen))
+        support, scores = edge.support, np.empty(len(moments), np.float32)
+
+        def extend(start: int, end: int) -> None:
+            reach(moments, merged, support, self.max_reach, start, end)
+            score(moments, merged, support, scores, start, end)
+
+        self.team.share(len(moments), 32, extend)
+        chosen, lines_of = _choose(moments, merged, scores, self.min_length, self.min_score)
+        labels, means = vote(rows, bounds, lines_of, descriptors, len(chosen))
         moments = moments[chosen]
         segments = moments[:, 6:].reshape(-1, 2, 2).astype(np.float32)
-        return LineSet(segments, scores, means, residuals(moments).astype(np.float32)), labels
+        return LineSet(segments, scores[chosen], means, residuals(moments).astype(np.float32)), labels
 
 
 @dataclass(frozen=True)
@@ -103,7 +112,8 @@ class PaperFitter:
         segments = _paper_fit(edge.positions, order, offsets)
         scores = line_scores(edge.support, segments.reshape(-1, 4))
         numbers = np.arange(len(segments), dtype=np.int32)
-        return LineSet(segments, scores, _vote(regions, numbers, descriptors, len(segments))[1]), regions
+        _, means = vote(order[offsets[0] :], offsets - offsets[0], numbers, descriptors, len(segments))
+        return LineSet(segments, scores, means), regions
 
 
 @njit(cache=True, nogil=True)
@@ -129,41 +139,65 @@ def group(labels):  # type: ignore[no-untyped-def]
     return order, offsets[1:].copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _vote(parts, lines_of, descriptors, count):  # type: ignore[no-untyped-def]
-    """Line of each pixel by its part, -1 for none; and (count, C) unit rows, mean descriptor of each line's pixels."""
-    labels = np.full(len(parts), -1, np.int32)
-    means = np.zeros((count, descriptors.shape[1]), np.float32)
-    for k in range(len(parts)):
-        line = lines_of[parts[k]] if parts[k] >= 0 else -1
-        if line >= 0:
-            labels[k] = line
-            for c in range(descriptors.shape[1]):
-                means[line, c] += descriptors[k, c]
-    for line in range(count):
-        squared = np.float32(0)
-        for c in range(descriptors.shape[1]):
-            squared += means[line, c] * means[line, c]
-        norm = max(np.sqrt(squared), np.float32(1e-12))
-        for c in range(descriptors.shape[1]):
-            means[line, c] /= norm
+def vote(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int64],
+    lines_of: NDArray[np.int32],
+    descriptors: NDArray[np.float32],
+    count: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Line of each pixel by its part, and the mean descriptor of each line's pixels.
+
+    Args:
+        rows: (K,) pixels, part by part.
+        bounds: (P + 1,) where each part begins among them, and the end of the last.
+        lines_of: (P,) line of each part, -1 for none.
+        descriptors: (M, C) of all pixels.
+        count: N, number of lines.
+
+    Returns:
+        (M,) int32, -1 for none, and (N, C) float32 unit rows.
+    """
+    channels = tuple(range(descriptors.shape[1]))
+    labels, means = _vote(rows, bounds, lines_of, descriptors, count, channels)
     return labels, means
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
+    """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
+    labels = np.full(len(descriptors), -1, np.int32)
+    sums = np.zeros((count, len(channels)), np.float32)
+    for part in range(len(lines_of)):
+        line = lines_of[part]
+        if line < 0:
+            continue
+        total = sums[line]
+        for k in range(bounds[part], bounds[part + 1]):
+            row = rows[k]
+            labels[row] = line
+            for c in range(len(channels)):
+                total[c] += descriptors[row, c]
+    for line in range(count):
+        squared = np.float32(0)
+        for c in range(len(channels)):
+            squared += sums[line, c] * sums[line, c]
+        norm = max(np.sqrt(squared), np.float32(1e-12))
+        for c in range(len(channels)):
+            sums[line, c] /= norm
+    return labels, sums
+
+
 @njit(cache=True, nogil=True)
-def _choose(moments, owner, support, min_length, min_score):  # type: ignore[no-untyped-def]
-    """The surviving parts that are long and sure enough, their scores, and the line number of each part (-1: none)."""
+def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
+    """The surviving parts that are long and sure enough, and the line number of each part (-1: none)."""
     count = len(moments)
     numbers = np.full(count, -1, np.int32)
     chosen = np.empty(count, np.int64)
-    scores = np.empty(count, np.float32)
     lines = 0
     for i in range(count):
-        x0, y0, x1, y1 = moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9]
-        if owner[i] != i or np.hypot(x1 - x0, y1 - y0) < min_length:
-            continue
-        scores[lines] = line_score(support, x0, y0, x1, y1)
-        if scores[lines] >= min_score:
+        length = np.hypot(moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7])
+        if owner[i] == i and length >= min_length and scores[i] >= min_score:
             numbers[i] = lines
             chosen[lines] = i
             lines += 1
@@ -172,7 +206,7 @@ def _choose(moments, owner, support, min_length, min_score):  # type: ignore[no-
         while owner[root] != root:
             root = owner[root]
         numbers[i] = numbers[root]
-    return chosen[:lines].copy(), scores[:lines].copy(), numbers
+    return chosen[:lines].copy(), numbers
 
 
 @njit(cache=True, nogil=True)

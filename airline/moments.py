@@ -44,52 +44,59 @@ def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
 def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ignore[no-untyped-def]
     """Fit every region, cutting the bent ones.
 
-    Returns the part of each pixel (-1: none) and, per part, (sw, sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
+    Returns the rows of the pixels part by part, where each part begins and, last, ends among them, and per part (sw,
+    sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
     """
-    labels = np.full(len(positions), -1, np.int32)
-    moments = np.empty((len(order) + 1, 10))
+    first = offsets[0]
+    rows = order[first:].copy()
+    bounds = np.zeros(len(rows) + 2, np.int64)
+    moments = np.empty((len(rows) + 1, 10))
     count = 0
-    along = np.empty(len(order))
+    points = np.empty((4, len(rows)))  # of the region at hand: x, y, weight, place along its line
     starts, ends = np.empty(64, np.int64), np.empty(64, np.int64)  # of what is left of a region
-    rows = order.copy()
     for region in range(len(offsets) - 1):
-        starts[0], ends[0] = offsets[region], offsets[region + 1]
+        starts[0], ends[0] = offsets[region] - first, offsets[region + 1] - first
         depth = 1
         while depth > 0:
             depth -= 1
             start, end = starts[depth], ends[depth]
+            size = end - start
             part = moments[count]
-            _sum_moments(positions, weights, rows, start, end, part)
+            _take(positions, weights, rows, start, size, points)
+            _sum_moments(points, size, part)
             mx, my, ux, uy = principal(part)
-            first, last = start, start  # the outermost pixels
-            for k in range(start, end):
-                along[k] = (positions[rows[k], 0] - mx) * ux + (positions[rows[k], 1] - my) * uy
-                first = k if along[k] < along[first] else first
-                last = k if along[k] > along[last] else last
-            t0, t1 = along[first], along[last]
-            if end - start >= 12 and depth < 62:
-                bend = _bend(positions, rows, along, start, end, first, last, max_deviation)
+            t0, t1 = _project(points, size, mx, my, ux, uy)
+            if size >= 12 and depth < 62:
+                bend = _bend(points, size, t0, t1, max_deviation)
                 if bend >= 0:
-                    cut = _divide(rows, along, start, end, along[bend])
-                    starts[depth], ends[depth] = start, cut
-                    starts[depth + 1], ends[depth + 1] = cut, end
+                    cut = start + _divide(rows, start, points[3], size, points[3, bend])
+                    # the later part is put down first, so that the parts lie in the order of the rows
+                    starts[depth], ends[depth] = cut, end
+                    starts[depth + 1], ends[depth + 1] = start, cut
                     depth += 2
                     continue
-            for k in range(start, end):
-                labels[rows[k]] = count
             part[6], part[7], part[8], part[9] = mx + t0 * ux, my + t0 * uy, mx + t1 * ux, my + t1 * uy
             count += 1
-    return labels, moments[:count].copy()
+            bounds[count] = end
+    return rows, bounds[: count + 1].copy(), moments[:count].copy()
 
 
 @njit(cache=True, nogil=True)
-def _sum_moments(positions, weights, rows, start, end, part):  # type: ignore[no-untyped-def]
+def _take(positions, weights, rows, start, size, points):  # type: ignore[no-untyped-def]
+    """Bring the pixels of a part together."""
+    for k in range(size):
+        place, row = np.uint64(k), np.uint64(rows[np.uint64(start + k)])
+        points[0, place] = positions[row, 0]
+        points[1, place] = positions[row, 1]
+        points[2, place] = weights[row] + 1e-12
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _sum_moments(points, size, part):  # type: ignore[no-untyped-def]
     """Set the first six numbers of a part."""
     sw, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(start, end):
-        row = rows[k]
-        x, y = np.float64(positions[row, 0]), np.float64(positions[row, 1])
-        w = np.float64(weights[row]) + 1e-12
+    for k in range(size):
+        x, y, w = points[0, k], points[1, k], points[2, k]
         sw += w
         sx += w * x
         sy += w * y
@@ -99,30 +106,54 @@ def _sum_moments(positions, weights, rows, start, end, part):  # type: ignore[no
     part[0], part[1], part[2], part[3], part[4], part[5] = sw, sx, sy, sxx, sxy, syy
 
 
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
+    """Set the places along the line; returns the least and the greatest."""
+    low, high = np.inf, -np.inf
+    for k in range(size):
+        along = (points[0, k] - mx) * ux + (points[1, k] - my) * uy
+        points[3, k] = along
+        low, high = min(low, along), max(high, along)
+    return low, high
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bend(positions, rows, along, start, end, first, last, max_deviation):  # type: ignore[no-untyped-def]
+def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
     """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
     are left out.
     """
-    x0, y0 = positions[rows[first], 0], positions[rows[first], 1]
-    dx, dy = positions[rows[last], 0] - x0, positions[rows[last], 1] - y0
+    x, y, along = points[0], points[1], points[3]
+    first, last = 0, 0
+    for k in range(size - 1, -1, -1):
+        first = k if along[k] == t0 else first
+        last = k if along[k] == t1 else last
+    x0, y0 = x[first], y[first]
+    dx, dy = x[last] - x0, y[last] - y0
     worst, bend = max_deviation * max(np.hypot(dx, dy), 1e-6), -1
-    low, high = -np.inf, np.inf
-    for k in range(start, end):
-        deviation = abs((positions[rows[k], 0] - x0) * dy - (positions[rows[k], 1] - y0) * dx)
-        if deviation > worst:
-            if low == -np.inf:  # few regions bend
-                low, high = _beyond_margins(along, start, end)
-            if low < along[k] < high:
-                worst, bend = deviation, k
+    if _farthest(points, size, x0, y0, dx, dy) <= worst:
+        return bend
+    low, high = _beyond_margins(along, size)
+    for k in range(size):
+        deviation = abs((x[k] - x0) * dy - (y[k] - y0) * dx)
+        if deviation > worst and low < along[k] < high:
+            worst, bend = deviation, k
     return bend
 
 
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+def _farthest(points, size, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
+    """Greatest distance from a chord, times the chord's length."""
+    worst = 0.0
+    for k in range(size):
+        worst = max(worst, abs((points[0, k] - x0) * dy - (points[1, k] - y0) * dx))
+    return worst
+
+
 @njit(cache=True, nogil=True)
-def _beyond_margins(along, start, end):  # type: ignore[no-untyped-def]
+def _beyond_margins(along, size):  # type: ignore[no-untyped-def]
     """The least and the greatest place but for `MARGIN - 1` at each end."""
     low, high = np.full(MARGIN, np.inf), np.full(MARGIN, -np.inf)  # sorted, the middle of the line last
-    for k in range(start, end):
+    for k in range(size):
         least, greatest = along[k], along[k]
         for i in range(MARGIN):
             if least < low[i]:
@@ -133,12 +164,12 @@ def _beyond_margins(along, start, end):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _divide(rows, along, start, end, place):  # type: ignore[no-untyped-def]
-    """Put the pixels before a place along a region's line first; returns where the others begin."""
-    kept = start
-    for k in range(start, end):
+def _divide(rows, start, along, size, place):  # type: ignore[no-untyped-def]
+    """Put the rows of the pixels before a place along a region's line first; returns how many there are."""
+    kept = 0
+    for k in range(size):
         if along[k] < place:
-            rows[k], rows[kept] = rows[kept], rows[k]
+            rows[start + k], rows[start + kept] = rows[start + kept], rows[start + k]
             along[k], along[kept] = along[kept], along[k]
             kept += 1
     return kept

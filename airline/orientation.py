@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from airline.compiled import njit
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
+from airline.team import ALONE, Team
 
 
 class OrientationDetector(Protocol):
@@ -46,7 +47,8 @@ def line_kernels(channels: int, size: int) -> NDArray[np.float32]:
     return kernels
 
 
-NOTHING = 1e-24  # squared length of a descriptor that rounding errors make out
+NOTHING = np.float32(1e-11)  # squared length of a descriptor that rounding errors make out
+BLOCK = 256  # pixels that are described at a time
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,13 @@ class LineKernelOrientation:
         channels: N, number of kernels; 2 gives the paper's ablation with 0 and 90 degrees only.
         kernel_size: side of the kernels, odd, px.
         subtract_mean: take the mean over the channels away before normalising, as the paper's released code does.
+        team: threads that share the work.
     """
 
     channels: int = 6
     kernel_size: int = 5
     subtract_mean: bool = True
+    team: Team = field(default=ALONE, repr=False, compare=False)
     _taps: NDArray[np.int32] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -75,9 +79,13 @@ class LineKernelOrientation:
         """Descriptors at given pixels; the image itself is not looked at."""
         height, width = edges.shape
         offsets = tuple(tuple(line) for line in self._taps[:, :, 0] * width + self._taps[:, :, 1])
-        described: NDArray[np.float32] = _correlate(
-            edges.ravel(), height, width, pixels, self._taps, offsets, self.subtract_mean
-        )
+        described = np.empty((len(pixels), self.channels), np.float32)
+        flat, taps, subtract_mean = edges.ravel(), self._taps, self.subtract_mean
+
+        def describe(start: int, end: int) -> None:
+            _correlate(flat, height, width, pixels[start:end], taps, offsets, subtract_mean, described[start:end])
+
+        self.team.share(len(pixels), 4 * BLOCK, describe)
         return described
 
 
@@ -96,36 +104,54 @@ class GradientOrientation:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean):  # type: ignore[no-untyped-def]
+def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean, out):  # type: ignore[no-untyped-def]
     """`offsets` are the taps (y, x) as places in the flat map, per channel; tuples, since loops over those unroll."""
-    channels, half = len(offsets), taps.shape[1] // 2
-    out = np.empty((len(pixels), channels), np.float32)
-    answer = np.empty(channels)  # double precision: little may be left when the mean is taken away
-    for k in range(len(pixels)):
-        x, y = pixels[k, 0], pixels[k, 1]
-        mean = 0.0
+    work = np.empty((len(offsets) + 2) * BLOCK, np.float32)
+    for start in range(0, len(pixels), BLOCK):
+        count = min(BLOCK, len(pixels) - start)
+        _sums(flat, height, width, pixels, start, count, taps, offsets, work)
+        _scales(count, offsets, subtract_mean, work)
+        for n in range(len(offsets)):
+            for k in range(count):
+                value = work[n * BLOCK + k] - work[len(offsets) * BLOCK + k]
+                out[start + k, n] = value * work[(len(offsets) + 1) * BLOCK + k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sums(flat, height, width, pixels, start, count, taps, offsets, work):  # type: ignore[no-untyped-def]
+    """Sums along each line through each pixel, line by line; nothing is beyond the border."""
+    half = taps.shape[1] // 2
+    for k in range(count):
+        x, y = pixels[start + k, 0], pixels[start + k, 1]
         if half <= x < width - half and half <= y < height - half:
             place = y * width + x
             for n in range(len(offsets)):
-                total = 0.0
+                total = np.float32(0)
                 for i in range(len(offsets[0])):
                     total += flat[np.uint64(place + offsets[n][i])]
-                answer[n] = total
-                mean += total
+                work[np.uint64(n * BLOCK + k)] = total
         else:
-            for n in range(channels):
-                answer[n] = 0
+            for n in range(len(offsets)):
+                total = np.float32(0)
                 for i in range(taps.shape[1]):
                     row, column = y + taps[n, i, 0], x + taps[n, i, 1]
                     if 0 <= row < height and 0 <= column < width:
-                        answer[n] += flat[row * width + column]
-                mean += answer[n]
-        mean = mean / channels if subtract_mean else 0.0
-        squared = 0.0
+                        total += flat[row * width + column]
+                work[np.uint64(n * BLOCK + k)] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _scales(count, offsets, subtract_mean, work):  # type: ignore[no-untyped-def]
+    """What is to be subtracted from each pixel's sums, and what they are to be multiplied by."""
+    channels = len(offsets)
+    share = np.float32(1 / channels) if subtract_mean else np.float32(0)
+    for k in range(count):
+        mean, squared = np.float32(0), np.float32(0)
         for n in range(len(offsets)):
-            answer[n] -= mean
-            squared += answer[n] * answer[n]
-        scale = 1 / np.sqrt(squared) if squared > NOTHING else 0.0
+            mean += work[n * BLOCK + k]
+        mean *= share
         for n in range(len(offsets)):
-            out[k, n] = answer[n] * scale
-    return out
+            value = work[n * BLOCK + k] - mean
+            squared += value * value
+        work[channels * BLOCK + k] = mean
+        work[(channels + 1) * BLOCK + k] = np.float32(1) / np.sqrt(squared) if squared > NOTHING else np.float32(0)

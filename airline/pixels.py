@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import cv2
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from airline.compiled import njit
 from airline.errors import ConfigError
+from airline.team import ALONE, Team
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,12 @@ class RidgePixels:
     Attributes:
         threshold: edge pixels have at least this probability.
         smoothing: side of the Gaussian window, odd, px; 1 smooths nothing.
+        team: threads that share the work.
     """
 
     threshold: float
     smoothing: int = 3
+    team: Team = field(default=ALONE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.smoothing < 1 or self.smoothing % 2 == 0:
@@ -77,7 +80,10 @@ class RidgePixels:
         smooth = edges
         if self.smoothing > 1:
             smooth = cv2.GaussianBlur(edges, (self.smoothing, self.smoothing), 0, borderType=cv2.BORDER_REPLICATE)
-        return EdgePixels(smooth, *_ridge(smooth, edges, np.float32(self.threshold)))
+        threshold = np.float32(self.threshold)
+        parts = self.team.share(len(edges), 64, lambda start, end: _ridge(smooth, edges, threshold, start, end))
+        pixels, positions, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return EdgePixels(smooth, pixels, positions, weights)
 
 
 ZERO, QUARTER, HALF, ONE, TWO = (np.float32(value) for value in (0, 0.25, 0.5, 1, 2))
@@ -87,10 +93,11 @@ REACH = np.float32(0.6)  # px: half a pixel, and some more, so that diagonal rid
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ridge(smooth, edges, threshold):  # type: ignore[no-untyped-def]
+def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def]
+    """Ridge pixels of the rows from `start` to `end`, their positions and weights."""
     height, width = edges.shape
     capacity = 0
-    for y in range(height):
+    for y in range(start, end):
         line = edges[y]
         for x in range(width):
             capacity += line[x] >= threshold
@@ -101,7 +108,7 @@ def _ridge(smooth, edges, threshold):  # type: ignore[no-untyped-def]
     rows = np.empty((3, width + 2), np.float32)
     steps = np.empty((3, width), np.float32)
     kept = np.empty(width + 1, np.int32)
-    for y in range(height):
+    for y in range(start, end):
         for k in range(3):
             source, row = smooth[min(max(y + k - 1, 0), height - 1)], rows[k]
             for x in range(width):
@@ -120,7 +127,7 @@ def _ridge(smooth, edges, threshold):  # type: ignore[no-untyped-def]
             positions[count, 0], positions[count, 1] = x + dx[x], y + dy[x]
             weights[count] = min(ONE, line[x])
             count += 1
-    return pixels[:count].copy(), positions[:count].copy(), weights[:count].copy()
+    return pixels[:count], positions[:count], weights[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from airline.compiled import njit
-from airline.score import bilinear, strength
+from airline.score import bilinear, room_for_samples, strength
 
 FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian
 STEP = 0.5  # px
@@ -13,17 +13,20 @@ SHARE = 0.25  # of a line's length that each end may move on: what a short line 
 
 
 @njit(cache=True, nogil=True)
-def reach(moments, owner, support, max_reach):  # type: ignore[no-untyped-def]
-    """Move the end points of the surviving parts to where the edge map falls to half the line's mean."""
+def reach(moments, owner, support, max_reach, start, end):  # type: ignore[no-untyped-def]
+    """Move the end points of the surviving parts from `start` to `end` to where the edge map falls to half the line's
+    mean.
+    """
     height, width = support.shape
-    for i in range(len(moments)):
+    room = room_for_samples(support)
+    for i in range(start, end):
         dx, dy = moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7]
         length = np.hypot(dx, dy)
         if owner[i] != i or max_reach <= 0 or length < 4:
             continue
         dx, dy = dx / length, dy / length
         farthest = min(max_reach, SHARE * length) + FALL
-        level = 0.5 * strength(support, moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9])
+        level = 0.5 * strength(support, moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9], room)
         for side in range(2):
             x, y = moments[i, 6 + 2 * side], moments[i, 7 + 2 * side]
             ux, uy = (dx, dy) if side else (-dx, -dy)

@@ -9,7 +9,7 @@ hardly where it is not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,13 +17,17 @@ from airline.compiled import njit
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
 from airline.lines import LineSet
-from airline.score import between
+from airline.sampling import blend, blocks_of, lay
+from airline.team import ALONE, Team
 
 CHUNK = 8.0  # px, length over which profiles are averaged
 MIN_LENGTH = 10.0  # px; shorter lines stay where they are
 PRIOR = 0.15  # px, standard deviation expected of a line's offset in the edge map
 CHUNK_ERROR = 0.1  # px, standard deviation of a chunk's offset without noise: edges are not quite straight
+ACROSS = 6  # samples across a line, 1 px apart
+MARGIN = 3  # px that a profile reaches to either side
 ROUNDING = 0.3  # grey levels squared, variance of a difference of two exact neighbours
+TWO, THREE, FOUR, FIVE = (np.uint64(value) for value in (2, 3, 4, 5))
 
 
 @dataclass(frozen=True)
@@ -32,9 +36,11 @@ class ImageRefiner:
 
     Attributes:
         max_shift: a line of which an end point would move by more than this stays where it is, px; 0 moves none.
+        team: threads that share the work.
     """
 
     max_shift: float = 0.5
+    team: Team = field(default=ALONE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.max_shift < 0:
@@ -49,26 +55,43 @@ class ImageRefiner:
         """
         if self.max_shift == 0:
             return lines
+        height, width = gray.shape
         segments = lines.segments.copy()
-        _refine(to_uint8(gray), segments, self.max_shift)
+        if min(height, width) > 2 * MARGIN:
+            blocks, most = blocks_of(to_uint8(gray)), self.max_shift
+            self.team.share(
+                len(segments), 32, lambda start, end: _refine(blocks, width, height, segments[start:end], most)
+            )
         return replace(lines, segments=segments)
 
 
-@njit(cache=True, nogil=True)
-def _refine(image, segments, max_shift):  # type: ignore[no-untyped-def]
-    height, width = image.shape
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-untyped-def]
+    most = ACROSS * (int(np.hypot(width, height)) + 2)
+    places, work = np.empty(most, np.int32), np.empty(2 * most, np.float32)
     for line in segments:
-        dx, dy = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]
+        x0, y0 = np.float64(line[0, 0]), np.float64(line[0, 1])
+        dx, dy = line[1, 0] - x0, line[1, 1] - y0
         length = np.hypot(dx, dy)
         if length < MIN_LENGTH:
             continue
         ux, uy = dx / length, dy / length
         chunks = int(length / CHUNK) + 1
-        step = length / chunks
+        each = int(length / chunks)  # samples of a chunk
+        count = chunks * each
+        apart = length / count
+        x0, y0 = x0 + 0.5 * apart * ux, y0 + 0.5 * apart * uy
+        dx, dy = np.float32(apart * ux), np.float32(apart * uy)
+        for j in range(ACROSS):
+            across = j - 0.5 * (ACROSS - 1)
+            x, y = np.float32(x0 - across * uy), np.float32(y0 + across * ux)
+            lay(width, height, x, y, dx, dy, j * count, count, places, work)
+        blend(blocks, ACROSS * count, places, work)
         # normal equations of offset = shift + turn * t, t from -1/2 to 1/2 along the line; the priors make them regular
         s00, s01, s11, m0, m1 = PRIOR**-2.0, 0.0, 0.25 * PRIOR**-2.0, 0.0, 0.0
         for k in range(chunks):
-            offset, variance = _chunk(image, line[0, 0] + k * step * ux, line[0, 1] + k * step * uy, ux, uy, step)
+            inside = _inside(width, height, x0, y0, apart * ux, apart * uy, k * each, (k + 1) * each)
+            offset, variance = _chunk(work, count, *inside)
             if variance >= 0:
                 weight, t = 1 / (variance + CHUNK_ERROR**2), (k + 0.5) / chunks - 0.5
                 s00 += weight
@@ -85,44 +108,60 @@ def _refine(image, segments, max_shift):  # type: ignore[no-untyped-def]
                 line[end, 1] = min(max(line[end, 1] + offset * ux, -0.5), height - 0.5)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inside(width, height, x, y, dx, dy, start, end):  # type: ignore[no-untyped-def]
+    """Those of a line's samples `start` to `end` whose whole profile lies in the image: the first, and the last + 1."""
+    while start < end and not _has_profile(width, height, x + start * dx, y + start * dy):
+        start += 1
+    while start < end and not _has_profile(width, height, x + (end - 1) * dx, y + (end - 1) * dy):
+        end -= 1
+    return start, end
+
+
 @njit(cache=True, nogil=True)
-def _chunk(image, x0, y0, ux, uy, length):  # type: ignore[no-untyped-def]
-    """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told."""
-    height, width = image.shape
-    samples = int(length)
-    slope = np.zeros(5)  # mean difference of neighbours across the line, at -2, -1, 0, 1, 2 px
-    squares, count = 0.0, 0
-    for k in range(samples):
-        t = (k + 0.5) * length / samples
-        x, y = x0 + t * ux, y0 + t * uy
-        if not (3 <= x < width - 4 and 3 <= y < height - 4):
-            continue
-        last = 0.0
-        for j in range(6):
-            value = between(image, x - (j - 2.5) * uy, y + (j - 2.5) * ux)
-            if j > 0:
-                slope[j - 1] += value - last
-            if j == 3:
-                squares += (value - last) ** 2
-            last = value
-        count += 1
-    if count < 2:
+def _has_profile(width, height, x, y):  # type: ignore[no-untyped-def]
+    return (MARGIN <= x < width - 1 - MARGIN) and (MARGIN <= y < height - 1 - MARGIN)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _chunk(levels, count, start, end):  # type: ignore[no-untyped-def]
+    """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told.
+
+    Args:
+        levels: grey levels, `count` samples along the line at -2.5 px across it, then as many at -1.5 px, to 2.5 px.
+        start, end: the chunk's samples.
+    """
+    if end - start < 2:
         return 0.0, -1.0
-    slope /= count
-    variance = max(squares / count - slope[2] ** 2, 0.0) + ROUNDING
-    if slope[1] + 2 * slope[2] + slope[3] < 0:
-        slope = -slope
-    a = slope[0] + 2 * slope[1] + slope[2]
-    b = slope[1] + 2 * slope[2] + slope[3]
-    c = slope[2] + 2 * slope[3] + slope[4]
+    zero = np.float32(0)
+    p0, p1, p2, p3, p4, p5, squares = zero, zero, zero, zero, zero, zero, zero
+    row = np.uint64(count)
+    for k in range(start, end):
+        place = np.uint64(k)
+        p0 += levels[place]
+        p1 += levels[place + row]
+        left, right = levels[place + TWO * row], levels[place + THREE * row]
+        p2 += left
+        p3 += right
+        p4 += levels[place + FOUR * row]
+        p5 += levels[place + FIVE * row]
+        squares += (right - left) * (right - left)
+    samples = end - start
+    middle = (p3 - p2) / samples  # mean difference of the two beside the line
+    variance = max(squares / samples - middle * middle, 0.0) + ROUNDING
+    # the slope at -1, 0 and 1 px, smoothed by (1 2 1)
+    a, b, c = (p3 + p2 - p1 - p0) / samples, (p4 + p3 - p2 - p1) / samples, (p5 + p4 - p3 - p2) / samples
+    if b < 0:
+        a, b, c = -a, -b, -c
     if min(a, b, c) <= 0:
         return 0.0, -1.0
     # a smoothed edge's slope is nearly a Gaussian, whose logarithm is a parabola
-    curvature = np.log(a) - 2 * np.log(b) + np.log(c)
+    before, after = np.log(a / b), np.log(c / b)
+    curvature = before + after
     if curvature >= -1e-6:
         return 0.0, -1.0
-    offset = 0.5 * (np.log(a) - np.log(c)) / curvature
+    offset = 0.5 * (before - after) / curvature
     if abs(offset) > 1:
         return 0.0, -1.0
     # of 0.5 (c - a) / b, were the differences independent
-    return offset, 2.5 * variance / (count * b * b * curvature * curvature)
+    return offset, 2.5 * variance / (samples * b * b * curvature * curvature)

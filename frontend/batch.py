@@ -129,7 +129,7 @@ def _open_workers(workers: int | None, ray: str | None, recipe: Recipe, jobs: in
         from frontend.fleet.ray_cluster import RayWorkers
 
         return RayWorkers(ray, recipe)
-    from frontend.cores import cores
+    from airline.team import cores
     from frontend.fleet.local import LocalWorkers
 
     count = max(1, min(jobs, workers or cores() // 2))

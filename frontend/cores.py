@@ -1,13 +1,8 @@
-"""How many of the machine's cores there are for us."""
+"""How many of the machine's cores there are for the edge network."""
 
 from __future__ import annotations
 
-import os
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+from airline.team import cores
 
 
 def network_threads(of: int | None = None) -> int:

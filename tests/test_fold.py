@@ -39,9 +39,10 @@ def test_fold(spec: UNetSpec, height: int, width: int, depth: type, seed: int) -
     )
     expected = torch.cat([blocks, *UNet(spec)._smoothed(blocks)], dim=1).numpy()
     planes = fold(gray, spec)
-    assert planes.dtype == np.float32
-    assert planes.shape[2:] == folded_size(spec, height, width)
-    np.testing.assert_allclose(planes, expected, atol=1e-4)
+    assert planes.shape[1:3] == folded_size(spec, height, width)
+    np.testing.assert_allclose(planes.view(np.float32).transpose(0, 3, 1, 2), expected, atol=1e-4)
+    rounded = torch.from_numpy(planes.view(np.float32)).to(torch.bfloat16)
+    assert np.array_equal(fold(gray, spec, np.uint16), rounded.view(torch.uint16).numpy())
 
 
 def test_a_flat_image_becomes_zeros() -> None:
@@ -61,11 +62,15 @@ def test_unfold(side: int, height: int, width: int, margin: int, seed: int) -> N
     logits = np.random.default_rng(seed).normal(0, 6, (rows, columns, side * side)).astype(np.float32)
     shuffled = torch.nn.functional.pixel_shuffle(torch.from_numpy(logits.transpose(2, 0, 1)[None]), side)
     expected = torch.sigmoid(shuffled)[0, 0, :height, :width].numpy()
-    edges = unfold(logits, side, height, width)
+    edges = unfold(logits.view(np.uint32), side, height, width)
     assert edges.dtype == np.float32
     np.testing.assert_allclose(edges, expected, atol=1e-5)
+    rounded = torch.from_numpy(logits).to(torch.bfloat16)
+    of_bfloat16 = unfold(rounded.view(torch.uint16).numpy(), side, height, width)
+    assert np.array_equal(of_bfloat16, unfold(rounded.float().numpy().view(np.uint32), side, height, width))
 
 
 @pytest.mark.parametrize("logit", [-np.inf, -1e30, -50, 50, 1e30, np.inf])
 def test_probabilities_stay_between_0_and_1(logit: float) -> None:
-    assert unfold(np.full((4, 4, 4), logit, np.float32), 2, 8, 8) == pytest.approx(float(logit > 0), abs=1e-5)
+    logits = np.full((4, 4, 4), logit, np.float32).view(np.uint32)
+    assert unfold(logits, 2, 8, 8) == pytest.approx(float(logit > 0), abs=1e-5)

@@ -270,7 +270,7 @@ def test_residuals_of_scattered_pixels():
     points = np.stack(
         [20 + along * np.cos(angle) - across * np.sin(angle), 10 + along * np.sin(angle) + across * np.cos(angle)], 1
     ).astype(np.float32)
-    _, parts = fit_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
+    _, _, parts = fit_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
     assert residuals(parts) == pytest.approx([0.3], abs=0.02)
 
 

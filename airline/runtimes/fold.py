@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from airline.compiled import njit
 from airline.image import Gray
 from airline.spec import UNetSpec
+from airline.team import ALONE, Team
 
 ONE = np.float32(1)
 HALF = np.float32(0.5)
+UPPER, ROUND, LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
 # Lambert's continued fraction of tanh(t), nine terms: t * (A0 + A1 s + ...) / (A0 + B1 s + ...) with s = t * t; cut off
 # where it reaches 1, it is 6e-6 off at most
 A0, A1, A2, A3 = (np.float32(value) for value in (34459425, 4729725, 135135, 990))
 B1, B2, B3, B4 = (np.float32(value) for value in (16216200, 945945, 13860, 45))
 LIMIT = np.float32(6.28)
+LEAST_ROWS = 32  # of the network's first level that are worth a thread
+
+Codes = NDArray[np.uint16 | np.uint32]
 
 
 def folded_size(spec: UNetSpec, height: int, width: int) -> tuple[int, int]:
@@ -27,40 +32,50 @@ def folded_size(spec: UNetSpec, height: int, width: int) -> tuple[int, int]:
     return rows, columns
 
 
-def fold(gray: Gray, spec: UNetSpec) -> NDArray[np.float32]:
-    """(1, C, h, w) float32 input of the network: normalised pixels of each block as channels, and smoothed copies.
+def fold(gray: Gray, spec: UNetSpec, codes: type[np.uint16] | type[np.uint32] = np.uint32, team: Team = ALONE) -> Codes:
+    """(1, h, w, C) input of the network: normalised pixels of each block as channels, and smoothed copies.
 
     The same as `airline.unet.normalise`, `pixel_unshuffle` and `UNet._smoothed` on an image whose last row and column
-    are repeated up to the network's stride.
+    are repeated up to the network's stride, with the channels last, as convolutions take them.
+
+    Args:
+        gray: the image.
+        spec: shape of the network.
+        codes: np.uint16 for the bits of bfloat16, np.uint32 for those of float32: numpy has no bfloat16.
+        team: threads that share the work.
     """
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
     side = spec.unshuffle
     rows, columns = folded_size(spec, *gray.shape)
-    planes = np.empty((side * side + spec.smoothed, rows, columns), np.float32)
+    planes = np.empty((rows, columns, side * side + spec.smoothed), codes)
     middle = np.empty((rows, columns), np.float32)
-    _fold(gray, np.float32(mean), np.float32(1 / max(deviation, 1.0)), side, planes, middle)
+    factor = np.float32(1 / max(deviation, 1.0))
+    team.share(
+        rows, LEAST_ROWS, lambda start, end: _fold(gray, np.float32(mean), factor, side, planes, middle, start, end)
+    )
     for level in range(spec.smoothed):
         smooth = np.empty_like(middle)
         _box_mean(middle, level + 1, smooth)
-        np.multiply(smooth, 2, out=planes[side * side + level])
+        _put_twice(smooth, planes, side * side + level)
         middle = smooth
     return planes[None]
 
 
-def unfold(logits: NDArray[np.float32], side: int, height: int, width: int) -> NDArray[np.float32]:
-    """(height, width) float32 edge probability of (h, w, side * side) logits."""
+def unfold(logits: Codes, side: int, height: int, width: int, team: Team = ALONE) -> NDArray[np.float32]:
+    """(height, width) float32 edge probability of (h, w, side * side) logits, in the codes of `fold`."""
     edges = np.empty((height, width), np.float32)
-    _unfold(logits, side, edges)
+    team.share(height, side * LEAST_ROWS, lambda start, end: _unfold(logits, side, edges, start, end))
     return edges
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _fold(gray: Any, mean: Any, factor: Any, side: int, planes: Any, middle: Any) -> None:
+def _fold(gray: Any, mean: Any, factor: Any, side: int, planes: Any, middle: Any, start: int, end: int) -> None:
     height, width = gray.shape
-    rows, columns = middle.shape
+    columns = middle.shape[1]
     values = np.empty(side * columns, np.float32)
+    codes = np.empty(side * columns, planes.dtype)
     share = ONE / np.float32(side * side)
-    for y in range(rows):
+    for y in range(start, end):
         total = middle[y]
         for x in range(columns):
             total[x] = 0
@@ -70,11 +85,38 @@ def _fold(gray: Any, mean: Any, factor: Any, side: int, planes: Any, middle: Any
                 values[x] = (np.float32(line[x]) - mean) * factor
             for x in range(width, len(values)):
                 values[x] = values[width - 1]
+            _encode(values.view(np.uint32), codes)
             for dx in range(side):
-                out, part = planes[side * dy + dx, y], values[dx::side]
+                part, code, out = values[dx::side], codes[dx::side], planes[y, :, side * dy + dx]
                 for x in range(columns):
-                    out[x] = part[x]
                     total[x] += part[x] * share
+                for x in range(columns):
+                    out[x] = code[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _put_twice(image: Any, planes: Any, channel: int) -> None:
+    """Double values into a channel."""
+    values = np.empty(image.shape[1], np.float32)
+    codes = np.empty(image.shape[1], planes.dtype)
+    for y in range(len(image)):
+        line, out = image[y], planes[y, :, channel]
+        for x in range(len(values)):
+            values[x] = line[x] + line[x]
+        _encode(values.view(np.uint32), codes)
+        for x in range(len(values)):
+            out[x] = codes[x]
+
+
+@njit(cache=True, nogil=True)
+def _encode(bits: Any, codes: Any) -> None:
+    """Bits of float32 numbers as codes; bfloat16 is their upper half, rounded to the nearest, ties to the even one."""
+    if codes.itemsize == 2:
+        for x in range(len(bits)):
+            codes[x] = (bits[x] + ROUND + ((bits[x] >> UPPER) & LAST)) >> UPPER
+    else:
+        for x in range(len(bits)):
+            codes[x] = bits[x]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -107,14 +149,16 @@ def _box_mean(image: Any, radius: int, out: Any) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _unfold(logits: Any, side: int, edges: Any) -> None:
-    values = np.empty(logits.shape[1], np.float32)
-    for y in range(len(edges)):
+def _unfold(logits: Any, side: int, edges: Any, start: int, end: int) -> None:
+    bits = np.empty(logits.shape[1], np.uint32)
+    values = bits.view(np.float32)
+    shift = UPPER if logits.itemsize == 2 else np.uint32(0)
+    for y in range(start, end):
         out = edges[y]
         for dx in range(side):
             part, place = logits[y // side, :, (y % side) * side + dx], out[dx::side]
             for x in range(len(place)):
-                values[x] = part[x]
+                bits[x] = np.uint32(part[x]) << shift
             for x in range(len(place)):
                 t = HALF * values[x]
                 t = LIMIT if t > LIMIT else (-LIMIT if t < -LIMIT else t)

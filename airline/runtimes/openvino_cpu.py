@@ -14,8 +14,14 @@ from numpy.typing import NDArray
 from airline.image import Gray
 from airline.runtimes.fold import fold, unfold
 from airline.runtimes.openvino_graph import build
+from airline.team import Team, cores
 from airline.weights import load_weights
 
+# of input and output, in OpenVINO and as numpy holds their bits
+NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
+    "bf16": (ov.Type.bf16, np.uint16),
+    "f32": (ov.Type.f32, np.uint32),
+}
 _SIZES = 4  # image sizes that are kept compiled
 
 
@@ -38,6 +44,7 @@ class OpenVinoNetwork:
         has_bf16 = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
         self._precision = "bf16" if has_bf16 else "f32"
         self._threads = threads
+        self._team = Team(cores() if threads is None else threads)
         self._requests: OrderedDict[tuple[int, int], ov.InferRequest] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -46,18 +53,20 @@ class OpenVinoNetwork:
         return f"openvino {self._precision}"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
-        planes = fold(gray, self._spec)
-        rows, columns = planes.shape[2:]
+        numbers, codes = NUMBERS[self._precision]
+        planes = fold(gray, self._spec, codes, self._team)
+        rows, columns = planes.shape[1:3]
         with self._lock:
             request = self._request(rows, columns)
-            request.set_input_tensor(ov.Tensor(planes, shared_memory=True))
+            request.set_input_tensor(ov.Tensor(planes, ov.Shape(planes.shape), numbers))
             request.infer()
-            return unfold(request.get_output_tensor().data[0], self._spec.unshuffle, *gray.shape)
+            logits = request.get_output_tensor().data[0].view(codes)
+            return unfold(logits, self._spec.unshuffle, gray.shape[0], gray.shape[1], self._team)
 
     def _request(self, rows: int, columns: int) -> ov.InferRequest:
         key = rows, columns
         if key not in self._requests:
-            model = build(self._spec, self._weights, rows, columns)
+            model = build(self._spec, self._weights, rows, columns, NUMBERS[self._precision][0])
             options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
             if self._threads is not None:
                 options["INFERENCE_NUM_THREADS"] = self._threads

@@ -14,7 +14,7 @@ from airline.spec import UNetSpec
 Weights = Mapping[str, NDArray[np.float32]]
 
 
-def build(spec: UNetSpec, weights: Weights, rows: int, columns: int) -> ov.Model:
+def build(spec: UNetSpec, weights: Weights, rows: int, columns: int, codes: ov.Type = ov.Type.f32) -> ov.Model:
     """The layers of `airline.unet.UNet` for one image size.
 
     What comes before and after them is `airline.runtimes.fold`: as graph nodes it took longer than the convolutions.
@@ -22,12 +22,14 @@ def build(spec: UNetSpec, weights: Weights, rows: int, columns: int) -> ov.Model
     Args:
         spec, weights: see `airline.weights.load_weights`.
         rows, columns: of the first level.
+        codes: numbers of input and output, float32 or bfloat16.
 
     Returns:
-        A model from (1, C, rows, columns) float32 channels to (1, rows, columns, unshuffle * unshuffle) float32 logits.
+        A model from (1, rows, columns, C) channels to (1, rows, columns, unshuffle * unshuffle) logits. The channels
+        are last, and the numbers those of the convolutions, so that neither needs a pass over the image.
     """
-    planes = op.parameter([1, spec.unshuffle**2 + spec.smoothed, rows, columns], np.float32, name="planes")
-    x: ov.Node = planes
+    planes = op.parameter([1, rows, columns, spec.unshuffle**2 + spec.smoothed], codes, name="planes")
+    x: ov.Node = op.convert(op.transpose(planes, np.array([0, 3, 1, 2])), np.float32)
     skips = []
     for level in range(spec.levels):
         if level:
@@ -38,8 +40,7 @@ def build(spec: UNetSpec, weights: Weights, rows: int, columns: int) -> ov.Model
         size = rows >> level, columns >> level, spec.widths[level]
         x = _add_coarse(skips[level], _conv(x, f"lateral.{level}", weights), size)
         x = _block(x, f"up.{level}", spec, weights)
-    # with the channels last, as the convolution leaves them
-    logits = op.transpose(_conv(x, "head", weights), np.array([0, 2, 3, 1]))
+    logits = op.convert(op.transpose(_conv(x, "head", weights), np.array([0, 2, 3, 1])), codes)
     return ov.Model([logits], [planes], "edges")
 
 

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.compiled import njit
-from airline.score import between, bilinear
+from airline.sampling import lay, total_of
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line
 SPACING = 6.0  # px between samples along the line
 MOST_SAMPLES = 16
+HALF = np.float32(0.5)
 FLOOR = 6.0  # grey levels: profiles with less contrast than this say little
 
 
@@ -28,31 +29,33 @@ def side_profiles(image: NDArray[np.uint8], segments: NDArray[np.float32]) -> ND
     Returns:
         (N, 8) float32, rows of norm at most 1. The profile of a reversed segment is the reversed row.
     """
-    profiles: NDArray[np.float32] = _profiles(image, segments)
+    if min(image.shape) < 2:
+        return np.zeros((len(segments), len(OFFSETS)), np.float32)
+    profiles: NDArray[np.float32] = _profiles(image.ravel(), image.shape[1], image.shape[0], segments)
     return profiles
 
 
 @njit(cache=True, nogil=True)
-def _profiles(image, segments):  # type: ignore[no-untyped-def]
-    height, width = image.shape
+def _profiles(values, width, height, segments):  # type: ignore[no-untyped-def]
     profiles = np.zeros((len(segments), len(OFFSETS)), np.float32)
+    places = np.empty(len(OFFSETS) * MOST_SAMPLES, np.int32)
+    work = np.empty(2 * len(places), np.float32)
     for n in range(len(segments)):
         x0, y0 = segments[n, 0, 0], segments[n, 0, 1]
         dx, dy = segments[n, 1, 0] - x0, segments[n, 1, 1] - y0
-        length = np.hypot(dx, dy)
+        length = np.sqrt(dx * dx + dy * dy)
         if length < 1e-3:
             continue
         nx, ny = dy / length, -dx / length
         samples = min(max(2, int(length / SPACING)), MOST_SAMPLES)
+        dx, dy = dx / np.float32(samples), dy / np.float32(samples)
+        x0, y0 = x0 + HALF * dx, y0 + HALF * dy
         row = profiles[n]
         for c in range(len(OFFSETS)):
-            total = 0.0
-            for k in range(samples):
-                t = (k + 0.5) / samples
-                x = min(max(x0 + t * dx - OFFSETS[c] * nx, 0.0), width - 1.0)
-                y = min(max(y0 + t * dy - OFFSETS[c] * ny, 0.0), height - 1.0)
-                total += between(image, x, y) if min(height, width) > 1 else bilinear(image, x, y)
-            row[c] = total / samples
+            x, y = np.float32(x0 - OFFSETS[c] * nx), np.float32(y0 - OFFSETS[c] * ny)
+            lay(width, height, x, y, dx, dy, c * samples, samples, places, work)
+        for c in range(len(OFFSETS)):
+            row[c] = total_of(values, width, c * samples, samples, places, work) / samples
         row -= row.mean()
         row /= np.sqrt(np.sum(row * row) + FLOOR * FLOOR)
     return profiles

@@ -147,9 +147,10 @@ def _same_light(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[ND
 
     Flow takes a point to look the same in both. A histogram says what any exposure and display curve did to the image.
     """
-    if abs(float(first.mean()) - float(second.mean())) < JUMP:
+    rise = cv2.mean(first)[0] - cv2.mean(second)[0]
+    if abs(rise) < JUMP:
         return first, second
-    if first.mean() > second.mean():
+    if rise > 0:
         return _with_histogram(first, second), second
     return first, _with_histogram(second, first)
 

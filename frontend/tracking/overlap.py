@@ -85,9 +85,9 @@ def beside(track, line):  # type: ignore[no-untyped-def]
     """
     x0, y0 = track[0, 0], track[0, 1]
     ux, uy = track[1, 0] - x0, track[1, 1] - y0
-    length = np.hypot(ux, uy)
+    length = np.sqrt(ux * ux + uy * uy)
     vx, vy = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]
-    other = np.hypot(vx, vy)
+    other = np.sqrt(vx * vx + vy * vy)
     if length < 1e-3 or other < 1e-3:
         return 0.0, 0.0, 0.0, 0.0
     ux, uy = ux / length, uy / length
