@@ -9,7 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
-from frontend.protocols import Source, is_live, reconnects_of, stop
+from frontend.protocols import Source
+from frontend.wrapped import WrappedSource
 
 _SIZES = range(16, 16385)
 
@@ -66,7 +67,7 @@ def select_frames(
     return _Selection(source, round(start * 1e9), end_ns, stride, max_frames, resize)
 
 
-class _Selection:
+class _Selection(WrappedSource):
     def __init__(
         self,
         source: Source,
@@ -76,13 +77,9 @@ class _Selection:
         max_frames: int | None,
         resize: tuple[int, int | None] | None,
     ) -> None:
-        self._source = source
+        super().__init__(source)
         self._start_ns, self._end_ns = start_ns, end_ns
         self._stride, self._max_frames, self._resize = stride, max_frames, resize
-
-    @property
-    def name(self) -> str:
-        return self._source.name
 
     @property
     def frame_count(self) -> int | None:
@@ -91,21 +88,6 @@ class _Selection:
             return self._max_frames
         count = math.ceil(count / self._stride)
         return count if self._max_frames is None else min(count, self._max_frames)
-
-    @property
-    def skipped(self) -> int:
-        return self._source.skipped
-
-    @property
-    def live(self) -> bool:
-        return is_live(self._source)
-
-    @property
-    def reconnects(self) -> int:
-        return reconnects_of(self._source)
-
-    def stop(self) -> None:
-        stop(self._source)
 
     def __iter__(self) -> Iterator[Frame]:
         yielded = 0
@@ -116,9 +98,6 @@ class _Selection:
             yielded += 1
             if yielded == self._max_frames:  # before a live source is asked for one more
                 return
-
-    def close(self) -> None:
-        self._source.close()
 
     def _between(self) -> Iterator[Frame]:
         origin = self._source.first_stamp_ns if isinstance(self._source, SeekableSource) else None

@@ -16,8 +16,9 @@ from frontend.calibration import fit_camera
 from frontend.camera import CameraModel
 from frontend.frame import Frame
 from frontend.opencv import Image
-from frontend.protocols import Source, is_live, reconnects_of, stop
+from frontend.protocols import Source
 from frontend.select import SeekableSource
+from frontend.wrapped import WrappedSource
 
 Array = NDArray[np.float64]
 
@@ -46,37 +47,11 @@ def with_camera(source: Source, camera: CameraModel | None, *, undistort: bool =
     return kind(source, camera, undistort)
 
 
-class _Calibrated:
+class _Calibrated(WrappedSource):
     def __init__(self, source: Source, camera: CameraModel | None, undistort: bool) -> None:
-        self._source = source
+        super().__init__(source)
         self._camera = camera
         self._undistort = undistort
-
-    @property
-    def name(self) -> str:
-        return self._source.name
-
-    @property
-    def frame_count(self) -> int | None:
-        return self._source.frame_count
-
-    @property
-    def skipped(self) -> int:
-        return self._source.skipped
-
-    @property
-    def live(self) -> bool:
-        return is_live(self._source)
-
-    @property
-    def reconnects(self) -> int:
-        return reconnects_of(self._source)
-
-    def stop(self) -> None:
-        stop(self._source)
-
-    def close(self) -> None:
-        self._source.close()
 
     def __iter__(self) -> Iterator[Frame]:
         remap: Undistorter | None = None

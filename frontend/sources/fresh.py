@@ -9,7 +9,8 @@ from collections import deque
 from collections.abc import Iterator
 
 from frontend.frame import Frame
-from frontend.protocols import Source, stop
+from frontend.protocols import Source
+from frontend.wrapped import WrappedSource
 
 log = logging.getLogger(__name__)
 
@@ -17,7 +18,7 @@ MAX_LATENCY_S = 0.2
 _WAITING = 2  # frames; one more would only be older
 
 
-class FreshFrames:
+class FreshFrames(WrappedSource):
     """A live source that never makes its device wait: a thread reads, and the oldest of the waiting frames are dropped.
 
     Frames keep their index, so that gaps show. It is a `Source`; one thread at a time may iterate.
@@ -33,10 +34,12 @@ class FreshFrames:
         arrived_s: `time.perf_counter()` when the latest frame that iteration gave had been read.
     """
 
+    live = False  # here a frame waits to be taken
+
     def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S, *, hold: bool = False) -> None:
         self.dropped = 0
         self.arrived_s = 0.0
-        self._source = source
+        super().__init__(source)
         self._max_latency_s = max_latency_s
         self._waiting: deque[tuple[float, Frame]] = deque()
         self._changed = threading.Condition()
@@ -45,18 +48,6 @@ class FreshFrames:
         self._warned = False
         self._error: BaseException | None = None
         self._reader = threading.Thread(target=self._read, name="live source")
-
-    @property
-    def name(self) -> str:
-        return self._source.name
-
-    @property
-    def frame_count(self) -> int | None:
-        return self._source.frame_count
-
-    @property
-    def skipped(self) -> int:
-        return self._source.skipped
 
     def __iter__(self) -> Iterator[Frame]:
         self._reader.start()
@@ -77,7 +68,7 @@ class FreshFrames:
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
-        stop(self._source)
+        super().stop()
 
     def close(self) -> None:
         """Stop, and close the source."""

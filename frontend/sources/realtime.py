@@ -8,9 +8,10 @@ from collections.abc import Iterator
 
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.wrapped import WrappedSource
 
 
-class RealtimeSource:
+class RealtimeSource(WrappedSource):
     """Gives out each frame when it is due: as long after the first one as their stamps say.
 
     Its frames come whether or not somebody takes them, as those of a camera do: `FreshFrames` drops the oldest when the
@@ -26,21 +27,9 @@ class RealtimeSource:
     live = True
 
     def __init__(self, source: Source, *, ahead: bool = False) -> None:
-        self._source = source
+        super().__init__(source)
         self._ahead = ahead
         self._stopped = threading.Event()
-
-    @property
-    def name(self) -> str:
-        return self._source.name
-
-    @property
-    def frame_count(self) -> int | None:
-        return self._source.frame_count
-
-    @property
-    def skipped(self) -> int:
-        return self._source.skipped
 
     def __iter__(self) -> Iterator[Frame]:
         frames = iter(self._read() if self._ahead else self._source)
@@ -58,10 +47,6 @@ class RealtimeSource:
     def stop(self) -> None:
         """End the iteration, whose thread may be waiting for the next frame; it may go on reading the one at hand."""
         self._stopped.set()
-
-    def close(self) -> None:
-        self.stop()
-        self._source.close()
 
     def _read(self) -> list[Frame]:
         """All frames, or those until it is stopped."""
