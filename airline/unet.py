@@ -62,15 +62,15 @@ class UNet(nn.Module):
         """Edge logits of grey images as they are: any range, any size.
 
         Args:
-            gray: (B, 1, H, W) float grey levels.
+            gray: (B, 1, H, W) float32 grey levels.
 
         Returns:
-            (B, 1, H, W) logits.
+            (B, 1, H, W) logits, numbers of the weights' kind.
         """
         height, width = gray.shape[2:]
         beyond = (0, -width % self.spec.stride, 0, -height % self.spec.stride)
         padded = nn.functional.pad(normalise(gray), beyond, mode="replicate")
-        logits: torch.Tensor = self(padded.contiguous(memory_format=torch.channels_last))
+        logits: torch.Tensor = self(padded.to(self.head.weight.dtype, memory_format=torch.channels_last))
         return logits[..., :height, :width]
 
     def folded(self) -> UNet:

@@ -18,6 +18,7 @@ from airline.edges import UNetEdges
 from airline.errors import ConfigError, WeightsError
 from airline.runtimes import open_network
 from airline.runtimes.openvino_cpu import OpenVinoNetwork
+from airline.runtimes.torch_cuda import CudaNetwork
 from airline.runtimes.torch_eager import TorchNetwork
 from airline.spec import SPECS, UNetSpec
 from airline.unet import UNet
@@ -54,6 +55,23 @@ def test_openvino_agrees_with_torch(scene: np.ndarray, weights: str, precision: 
     dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
     for image in (scene, scene[:240, 5:219], scene[::2, ::3], scene[:, ::-1], low_contrast, dark16):
         assert_close(ours(image), theirs(image), precision)
+
+
+@pytest.mark.parametrize("weights", ["default", "fast"])
+def test_half_precision_of_torch_agrees(scene: np.ndarray, weights: str) -> None:
+    """All that runs on a GPU, but for the graph."""
+    ours, theirs = CudaNetwork(weights, "cpu", lambda network, image: lambda: network(image)), TorchNetwork(weights)
+    dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
+    for image in (scene, scene[:240, 5:219], scene[:, ::-1], dark16, scene):
+        assert_close(ours(image), theirs(image), "bf16")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_cuda_agrees_with_the_cpu_and_keeps_its_results(scene: np.ndarray) -> None:
+    ours, theirs = CudaNetwork("default"), TorchNetwork("default")
+    images = [np.ascontiguousarray(np.roll(scene, 40 * k, axis=1))[: 480 - 16 * k] for k in range(7)]
+    for found, image in zip([ours(image) for image in images], images, strict=True):
+        assert_close(found, theirs(image), "bf16")
 
 
 @given(height=st.integers(1, 70), width=st.integers(1, 70), seed=st.integers(0, 99))

@@ -37,8 +37,8 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
-        runtime: "openvino" (bfloat16 where the processor has it), "torch" (float32 on the CPU), "cuda", or "auto": CUDA
-            where there is such a device, else OpenVINO where it is installed, else torch.
+        runtime: "openvino" (bfloat16 where the processor has it), "torch" (float32 on the CPU), "cuda" (half
+            precision), or "auto": CUDA where there is such a device, else OpenVINO where it is installed, else torch.
         threads: how many of the processor's cores OpenVINO works on; all by default.
 
     Raises:
@@ -55,9 +55,13 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
         except ImportError as error:
             raise ConfigError(f"OpenVINO cannot be used ({error}): install openvino, or use --runtime torch") from error
         return OpenVinoNetwork(weights, threads)
+    if runtime == "cuda":
+        from airline.runtimes.torch_cuda import CudaNetwork
+
+        return CudaNetwork(weights)
     from airline.runtimes.torch_eager import TorchNetwork
 
-    return TorchNetwork(weights, cuda=runtime == "cuda")
+    return TorchNetwork(weights)
 
 
 def _best(weights: str | Path | UNet) -> Runtime:

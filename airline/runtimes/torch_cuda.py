@@ -1,0 +1,93 @@
+"""The edge network on a GPU: half precision, and one captured CUDA graph per image size."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from airline.image import Gray
+from airline.unet import UNet
+from airline.weights import load_unet
+
+_SIZES = 4  # image sizes that are kept captured
+_WARM_UP = 3  # runs in which torch chooses its kernels: a graph must not hold that
+
+Network = Callable[[torch.Tensor], torch.Tensor]
+Capture = Callable[[Network, torch.Tensor], Callable[[], torch.Tensor]]
+
+
+def captured(network: Network, image: torch.Tensor) -> Callable[[], torch.Tensor]:
+    """The network's answer to what is in `image` by then, as one call of the GPU, always into the same memory."""
+    side = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+    side.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(side):
+        for _ in range(_WARM_UP):
+            network(image)
+    torch.cuda.current_stream().wait_stream(side)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+        answer = network(image)
+
+    def replay() -> torch.Tensor:
+        graph.replay()
+        return answer
+
+    return replay
+
+
+class CudaNetwork:
+    """A U-Net on a GPU, in bfloat16 or, where the GPU has none, in float16; see `EdgeNetwork`.
+
+    A network of this size is done sooner than Python can start its layers one by one, so they are captured once for
+    each size of image and replayed.
+
+    Args:
+        weights: see `airline.runtimes.open_network`.
+        device, capture: for tests where there is no GPU.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        ConfigError: there is no CUDA device.
+    """
+
+    def __init__(self, weights: str | Path | UNet, device: str = "cuda", capture: Capture = captured) -> None:
+        if device == "cuda" and not torch.cuda.is_available():
+            raise ConfigError("no CUDA device is available: use --runtime auto")
+        self._half = torch.float16 if device == "cuda" and not torch.cuda.is_bf16_supported() else torch.bfloat16
+        net = weights if isinstance(weights, UNet) else load_unet(weights)
+        self._net: UNet = net.to(device, self._half).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._device, self._capture = device, capture
+        self._graphs: OrderedDict[tuple[object, ...], tuple[torch.Tensor, Callable[[], torch.Tensor]]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    @property
+    def name(self) -> str:
+        return f"torch {self._device} {'f16' if self._half == torch.float16 else 'bf16'}"
+
+    def __call__(self, gray: Gray) -> NDArray[np.float32]:
+        pixels = torch.from_numpy(np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.int32))
+        with self._lock, torch.inference_mode():
+            image, answer = self._graph(pixels)
+            image.copy_(pixels)
+            edges: NDArray[np.float32] = answer().to("cpu", copy=True).numpy()
+        return edges
+
+    def _graph(self, pixels: torch.Tensor) -> tuple[torch.Tensor, Callable[[], torch.Tensor]]:
+        key = pixels.shape, pixels.dtype
+        if key not in self._graphs:
+            image = pixels.to(self._device, copy=True)
+            self._graphs[key] = image, self._capture(self._edges, image)
+            if len(self._graphs) > _SIZES:
+                self._graphs.popitem(last=False)
+        self._graphs.move_to_end(key)
+        return self._graphs[key]
+
+    def _edges(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.sigmoid(self._net.answer(image.float()[None, None])[0, 0].float()).contiguous()
