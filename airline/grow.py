@@ -50,7 +50,7 @@ class RegionGrower:
             edge.weights,
             descriptors,
             np.float32(self.seed_threshold),
-            self.similarity * self.similarity,
+            self.similarity,
             self.min_pixels,
             tuple(range(descriptors.shape[1])),
         )
@@ -61,7 +61,7 @@ ONE, TWO = np.uint64(1), np.uint64(2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity_squared, min_pixels, channels):  # type: ignore[no-untyped-def]
+def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
     """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
     height, width = shape
     count = len(pixels)
@@ -70,7 +70,7 @@ def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity_square
     stride = width + 2
     free = np.zeros((height + 2) * stride, np.uint8)
     index = np.empty((height + 2) * stride, np.int32)  # set where `free` was once
-    places = np.empty(count, np.int32)
+    places = np.empty(count, np.int64)
     for k in range(count):
         place = np.uint64((pixels[k, 1] + 1) * stride + pixels[k, 0] + 1)
         free[place] = 1
@@ -80,42 +80,42 @@ def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity_square
     total = np.zeros(len(channels))
     region = 0
     for seed in range(count):
-        if not free[np.uint64(places[seed])] or weights[seed] < seed_threshold:
+        if not free[places[seed]] or weights[seed] < seed_threshold:
             continue
-        free[np.uint64(places[seed])] = 0
+        free[places[seed]] = 0
         queue[0] = seed
         head, tail = 0, 1
-        squared = 0.0  # length of the sum of the region's descriptors
+        squared = 0.0
         for c in range(len(channels)):
             total[c] = descriptors[seed, c]
             squared += total[c] * total[c]
+        least = similarity * np.sqrt(squared)
         while head < tail:
-            here = np.uint64(places[np.uint64(queue[np.uint64(head)])])
+            here = places[queue[head]]
             head += 1
-            for row in (here - np.uint64(stride), here, here + np.uint64(stride)):
-                first = row - ONE
-                if not free[first] | free[first + ONE] | free[first + TWO]:
+            for row in (here - stride, here, here + stride):
+                place = np.uint64(row - 1)
+                if not free[place] | free[place + ONE] | free[place + TWO]:
                     continue
                 for column in range(3):
-                    place = first + np.uint64(column)
+                    place = np.uint64(row - 1 + column)
                     if not free[place]:
                         continue
-                    p = np.uint64(index[place])
-                    dot, own = 0.0, 0.0
+                    p = index[place]
+                    dot = 0.0
                     for c in range(len(channels)):
-                        value = np.float64(descriptors[p, c])
-                        dot += value * total[c]
-                        own += value * value
-                    # without a root, and without summing up the squares anew, which the next pixel would wait for
-                    if dot >= 0 and dot * dot >= similarity_squared * squared:
+                        dot += descriptors[p, c] * total[c]
+                    if dot >= least:
                         free[place] = 0
-                        queue[np.uint64(tail)] = p
+                        queue[tail] = p
                         tail += 1
-                        squared += 2 * dot + own
+                        squared = 0.0
                         for c in range(len(channels)):
                             total[c] += descriptors[p, c]
+                            squared += total[c] * total[c]
+                        least = similarity * np.sqrt(squared)
         if tail >= min_pixels:
             for k in range(tail):
-                labels[np.uint64(queue[np.uint64(k)])] = region
+                labels[queue[k]] = region
             region += 1
     return labels
