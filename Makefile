@@ -63,7 +63,8 @@ test-lowest:
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/torch.txt
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/requirements.txt
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
-	$(LOWEST)/bin/python -m pytest -W ignore::DeprecationWarning $(TESTS)
+	$(LOWEST)/bin/python -m pytest --numprocesses logical --dist loadfile \
+		-W ignore::DeprecationWarning $(TESTS)
 
 # known faults of the versions in constraints.txt; fails, too, where the list of faults cannot be asked
 audit:

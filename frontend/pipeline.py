@@ -23,6 +23,7 @@ from frontend.sources.fresh import MAX_LATENCY_S, FreshFrames
 from frontend.stages import pipelined
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
+from frontend.warm_up import warm_up
 
 if TYPE_CHECKING:
     from frontend.settings import RunConfig
@@ -54,10 +55,7 @@ class LineFrontend:
         Args:
             image: an image like those to come; the tracker forgets nothing and learns nothing from it.
         """
-        lines = self.detector(image)
-        tracker = LineTracker(self.tracker.config)
-        for index in range(2):
-            tracker.update(Frame(index, index, image), lines)
+        warm_up(self.detector, self.tracker.config, image)
 
     def process(self, frame: Frame) -> FrameResult:
         """Detect and track in the next frame of a stream."""

@@ -1,0 +1,78 @@
+"""Everything compiled and loaded before the first frame.
+
+On a machine's first start the compiler takes most of the time. It does one thing at a time within a process, so the
+tracker's code is compiled by another process, into the cache, while the detector's is compiled here.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.detector import AirLine
+from airline.lines import LineSet
+from airline.team import cores
+from frontend.frame import Frame
+from frontend.tracker import LineTracker
+from frontend.tracking.config import TrackerConfig
+from frontend.tracking.overlap import _votes
+
+SIZE = 64, 80  # rows and columns of the image in which the tracker's code is compiled
+
+
+def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """A throw-away pass through a detector and a tracker.
+
+    Args:
+        detector: it keeps what it loads.
+        config: the tracker's settings.
+        image: an image like those to come.
+    """
+    helper = _start_helper() if cores() > 1 and _is_cold() else None
+    try:
+        lines = detector(image)
+    finally:
+        if helper is not None:
+            helper.wait()  # whatever it answers: what it has not compiled is compiled here
+    _track(config, image, lines)
+
+
+def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], lines: LineSet) -> None:
+    tracker = LineTracker(config)
+    for index in range(2):
+        tracker.update(Frame(index, index, image), lines)
+
+
+def _is_cold() -> bool:
+    """Whether there is a cache of compiled code, and none of the tracker's in it."""
+    folder = _votes.stats.cache_path
+    return folder is not None and not any(Path(folder).glob("overlap._votes-*.nbi"))
+
+
+def _start_helper() -> subprocess.Popen[bytes] | None:
+    command = [sys.executable, "-m", "frontend.warm_up"]
+    try:
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except OSError:  # no more processes, or no Python by that name
+        return None
+
+
+def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
+    """A picture and lines in it, of the kinds of array that the detector answers."""
+    rows, columns = SIZE
+    image = np.zeros(SIZE, np.uint8)
+    image[:, columns // 2 :] = 200
+    places = np.linspace(8, columns - 8, 12, dtype=np.float32)
+    segments = np.stack([np.stack([places, np.full_like(places, end)], axis=1) for end in (4, rows - 4)], axis=1)
+    ones = np.ones(len(segments), np.float32)
+    return image, LineSet(
+        np.ascontiguousarray(segments), ones, np.tile(ones[:, None] / np.sqrt(np.float32(6)), 6), ones
+    )
+
+
+if __name__ == "__main__":
+    _track(TrackerConfig(), *_made_up())
