@@ -1,0 +1,37 @@
+"""Samples of images between their pixels, many at once, against one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline.sampling import blend, blocks_of, lay, total_of
+from airline.score import bilinear
+
+PLACES = st.floats(-3, 33, width=32)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    height=st.integers(2, 20),
+    width=st.integers(2, 30),
+    start=st.tuples(PLACES, PLACES),
+    step=st.tuples(st.floats(-2, 2, width=32), st.floats(-2, 2, width=32)),
+    first=st.integers(0, 3),
+    count=st.integers(0, 40),
+    seed=st.integers(0, 99),
+)
+def test_samples_are_bilinear(height, width, start, step, first, count, seed):
+    image = np.random.default_rng(seed).integers(0, 256, (height, width), np.uint8)
+    places, work = np.zeros(64, np.int32), np.zeros(128, np.float32)
+    x, y, dx, dy = (np.float32(value) for value in (*start, *step))
+    steps = np.arange(count, dtype=np.float32)
+    columns, rows = np.clip(x + steps * dx, 0, width - 1), np.clip(y + steps * dy, 0, height - 1)
+    expected = np.array([bilinear(image, *place) for place in zip(columns, rows, strict=True)])
+
+    lay(width, height, x, y, dx, dy, first, count, places, work)
+    for values in (image.ravel(), image.astype(np.float32).ravel()):
+        assert abs(total_of(values, width, first, count, places, work) - expected.sum()) <= 0.01 * max(1, count)
+    blend(blocks_of(image), first + count, places, work)
+    np.testing.assert_allclose(work[first : first + count], expected, atol=0.01)
