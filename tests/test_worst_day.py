@@ -119,8 +119,8 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("name", ["t.mcap", "t.parquet", "t.csv"])
 def test_a_full_disk_ends_the_run_and_keeps_what_is_written(small_disk: Path, long_clip: Path, name: str) -> None:
-    flags = ["--with-images"] if name == "t.mcap" else []
-    if name != "t.parquet":  # of which a batch holds a second
+    flags = {"t.mcap": ["--with-images"], "t.parquet": ["--realtime"]}.get(name, [])
+    if name != "t.parquet":  # of which a batch holds a second, as many frames as there are by then
         (small_disk / "ballast").write_bytes(bytes(1_700_000))
     done = command(long_clip, "--out", small_disk / name, *flags)
     assert done.code == 2

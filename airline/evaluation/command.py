@@ -41,4 +41,4 @@ def track(samples: list[Sample]) -> Iterable[Sample]:
     from rich.progress import track
 
     errors = Console(stderr=True)
-    return track(samples, "images", console=errors, transient=True, disable=not errors.is_terminal)
+    return track(samples, "images", console=errors, transient=True) if errors.is_terminal else samples

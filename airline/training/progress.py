@@ -27,11 +27,12 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item], title: st
     Threads and no processes: the work is done in OpenCV and compiled code, and a forked OpenCV can hang.
     """
     console = Console(stderr=True)
-    with (
-        ThreadPoolExecutor(os.cpu_count()) as pool,
-        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
-    ):
-        return list(bar.track(pool.map(work, items), total=len(items), description=title))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = pool.map(work, items)
+        if not console.is_terminal:
+            return list(results)
+        with Progress(console=console, transient=True) as bar:
+            return list(bar.track(results, total=len(items), description=title))
 
 
 class TrainingProgress:
