@@ -67,13 +67,14 @@ class ImageRefiner:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-untyped-def]
-    most = ACROSS * (int(np.hypot(width, height)) + 2)
+    longest = np.hypot(width, height)  # what is longer lies outside
+    most = ACROSS * (int(longest) + 1)
     places, work = np.empty(most, np.int32), np.empty(2 * most, np.float32)
     for line in segments:
         x0, y0 = np.float64(line[0, 0]), np.float64(line[0, 1])
         dx, dy = line[1, 0] - x0, line[1, 1] - y0
         length = np.hypot(dx, dy)
-        if length < MIN_LENGTH:
+        if not MIN_LENGTH <= length <= longest:
             continue
         ux, uy = dx / length, dy / length
         chunks = int(length / CHUNK) + 1

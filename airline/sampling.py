@@ -43,7 +43,9 @@ def lay(width, height, x, y, dx, dy, first, count, places, work):  # type: ignor
     stride, second = np.int32(width), np.uint64(len(places))
     for k in range(count):
         t = np.float32(np.int32(k))
-        px, py = min(max(x + t * dx, ZERO), right), min(max(y + t * dy, ZERO), bottom)
+        px, py = x + t * dx, y + t * dy
+        px, py = px if px > ZERO else ZERO, py if py > ZERO else ZERO  # what is no number becomes 0, too
+        px, py = px if px < right else right, py if py < bottom else bottom
         column, row = min(np.int32(px), last_column), min(np.int32(py), last_row)
         place = np.uint64(first + k)
         work[place] = px - np.float32(column)

@@ -78,15 +78,3 @@ def bilinear(image, x, y):  # type: ignore[no-untyped-def]
     right, below = min(column + 1, width - 1), min(row + 1, height - 1)
     top = (1 - fx) * image[row, column] + fx * image[row, right]
     return (1 - fy) * top + fy * ((1 - fx) * image[below, column] + fx * image[below, right])
-
-
-@njit(cache=True, nogil=True)
-def between(image, x, y):  # type: ignore[no-untyped-def]
-    """The same for places that are known to lie on the image, which must be two pixels wide and high at least."""
-    height, width = image.shape
-    column, row = min(int(x), width - 2), min(int(y), height - 2)
-    fx, fy = x - column, y - row
-    left, right = image[row, column], image[row, column + 1]
-    low, high = image[row + 1, column], image[row + 1, column + 1]
-    top = (1 - fx) * left + fx * right
-    return (1 - fy) * top + fy * ((1 - fx) * low + fx * high)

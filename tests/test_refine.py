@@ -97,3 +97,13 @@ def test_sixteen_bits_and_no_lines():
     assert errors(ImageRefiner().refine(displaced(line, 0.3, -0.2), image), line).max() < 0.1
     none = LineSet(np.zeros((0, 2, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 6), np.float32))
     assert len(ImageRefiner().refine(none, image)) == 0
+
+
+def test_lines_that_are_none_of_the_image_stay_where_they_are():
+    image = np.zeros((60, 80), np.uint8)
+    image[:, 40:] = 200
+    ends = [[[-1e6, 30], [1e6, 30]], [[np.nan, 3], [4, 40]], [[10, np.inf], [20, 5]], [[39.2, 5], [39.2, 55]]]
+    lines = LineSet(np.array(ends, np.float32), np.ones(4, np.float32), np.ones((4, 1), np.float32))
+    refined = ImageRefiner().refine(lines, image).segments
+    assert np.array_equal(refined[:3], lines.segments[:3], equal_nan=True)
+    assert np.abs(refined[3, :, 0] - 39.5).max() < 0.1

@@ -35,3 +35,18 @@ def test_samples_are_bilinear(height, width, start, step, first, count, seed):
         assert abs(total_of(values, width, first, count, places, work) - expected.sum()) <= 0.01 * max(1, count)
     blend(blocks_of(image), first + count, places, work)
     np.testing.assert_allclose(work[first : first + count], expected, atol=0.01)
+
+
+@given(
+    height=st.integers(2, 9),
+    width=st.integers(2, 9),
+    numbers=st.tuples(*[st.floats(width=32, allow_nan=True, allow_infinity=True)] * 4),
+)
+def test_no_place_lies_outside(height, width, numbers):
+    places, work = np.zeros(8, np.int32), np.zeros(16, np.float32)
+    lay(width, height, *(np.float32(number) for number in numbers), 0, 8, places, work)
+    columns, rows = places % width, places // width
+    assert (columns <= width - 2).all()
+    assert (columns >= 0).all()
+    assert (rows >= 0).all()
+    assert (rows <= height - 2).all()
