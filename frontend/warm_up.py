@@ -35,9 +35,12 @@ def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] |
     helper = _start_helper() if cores() > 1 and _is_cold() else None
     try:
         lines = detector(image)
-    finally:
         if helper is not None:
             helper.wait()  # whatever it answers: what it has not compiled is compiled here
+    except BaseException:
+        if helper is not None:
+            helper.kill()
+        raise
     _track(config, image, lines)
 
 
