@@ -7,6 +7,8 @@ import multiprocessing
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -281,3 +283,12 @@ def test_a_socket_that_was_left_behind_is_replaced_and_a_file_is_not(tmp_path: P
     with pytest.raises(InputError, match="there is a file of this name"):
         publisher(f"ipc://{file}")
     assert file.read_text() == "mine"
+
+
+def test_closing_that_was_interrupted_can_be_done_again() -> None:
+    """Interrupted between the context and its sockets, the context knows none of them any more, yet waits for them."""
+    code = "from logs.live.address import parse_address; from logs.live.zeromq import ZmqPublisher; "
+    code += f"publisher = ZmqPublisher(parse_address('{LOCAL}'), 'clip'); publisher._context._sockets.clear(); "
+    code += "publisher.close(); publisher.close(); print('closed')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "closed\n"

@@ -74,7 +74,8 @@ class ZmqPublisher:
         if not self._socket.closed:
             stream, number, name = self._stream, self._sequence, self._name
             self._send(encode_end(stream=stream, sequence=number, name=name, sent_ns=time.time_ns()))
-            self._context.destroy()
+            self._socket.close()  # by ourselves: a context that is interrupted forgets its sockets, and waits for them
+        self._context.term()
 
     def _send(self, message: bytes) -> None:
         self._socket.send(message)
