@@ -86,7 +86,8 @@ class TrackSubscription:
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""
-        self._context.destroy(0)
+        self._socket.close(0)  # see `ZmqPublisher.close`
+        self._context.term()
 
     def _receive(self) -> LiveTracks:
         if not self._socket.poll(None if self._timeout_s is None else round(1e3 * self._timeout_s)):
