@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import logging
+import os
 import re
+import signal
 import socket
 import statistics
 import subprocess
@@ -234,7 +236,11 @@ def test_with_a_display_everything_goes_to_the_viewer(
     received = tmp_path / "received.rrd"
     listen = [executable, "--port", str(port), "--save", str(received)]
     with subprocess.Popen(
-        listen, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        listen,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     ) as viewer:
         try:
             deadline = time.monotonic() + 20
@@ -247,7 +253,7 @@ def test_with_a_display_everything_goes_to_the_viewer(
                     time.sleep(0.05)
             outcome = command(clip)
         finally:
-            viewer.terminate()
+            os.killpg(viewer.pid, signal.SIGTERM)  # `rerun` is a launcher: the viewer is its child
     assert outcome.code == 0
     assert "saved" not in outcome.out
     assert not list(Path.cwd().iterdir())

@@ -47,8 +47,7 @@ def open_viewer(port: int = PORT) -> str | None:
             _windows.append(viewer)
             return address
         time.sleep(0.05)
-    viewer.kill()
-    viewer.wait()
+    _kill(viewer)
     return None
 
 
@@ -68,9 +67,7 @@ class WebViewer:
 
     def close(self) -> None:
         """Stop it."""
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)  # `rerun` is a launcher: the server is its child
-        self.process.wait()
+        _kill(self.process)
 
 
 def serve() -> WebViewer | None:
@@ -95,6 +92,13 @@ def serve() -> WebViewer | None:
         time.sleep(0.05)
     viewer.close()
     return None
+
+
+def _kill(viewer: subprocess.Popen[bytes]) -> None:
+    """End a viewer that was started in a session of its own."""
+    if viewer.poll() is None:
+        os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
+    viewer.wait()
 
 
 def _free_port(wanted: int) -> int:
