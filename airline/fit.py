@@ -112,7 +112,8 @@ class PaperFitter:
         segments = _paper_fit(edge.positions, order, offsets)
         scores = line_scores(edge.support, segments.reshape(-1, 4))
         numbers = np.arange(len(segments), dtype=np.int32)
-        _, means = vote(order[offsets[0] :], offsets - offsets[0], numbers, descriptors, len(segments))
+        bounds = np.stack([offsets[:-1], offsets[1:]], axis=1)
+        _, means = vote(order, bounds, numbers, descriptors, len(segments))
         return LineSet(segments, scores, means), regions
 
 
@@ -149,8 +150,8 @@ def vote(
     """Line of each pixel by its part, and the mean descriptor of each line's pixels.
 
     Args:
-        rows: (K,) pixels, part by part.
-        bounds: (P + 1,) where each part begins among them, and the end of the last.
+        rows: (K,) pixels, those of a part together.
+        bounds: (P, 2) where each part begins and ends among them.
         lines_of: (P,) line of each part, -1 for none.
         descriptors: (M, C) of all pixels.
         count: N, number of lines.
@@ -173,7 +174,7 @@ def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore
         if line < 0:
             continue
         total = sums[line]
-        for k in range(bounds[part], bounds[part + 1]):
+        for k in range(bounds[part, 0], bounds[part, 1]):
             row = rows[k]
             labels[row] = line
             for c in range(len(channels)):

@@ -44,12 +44,12 @@ def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
 def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ignore[no-untyped-def]
     """Fit every region, cutting the bent ones.
 
-    Returns the rows of the pixels part by part, where each part begins and, last, ends among them, and per part (sw,
-    sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
+    Returns the rows of the pixels, those of a part together, (P, 2) where each part begins and ends among them, and per
+    part (sw, sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
     """
     first = offsets[0]
     rows = order[first:].copy()
-    bounds = np.zeros(len(rows) + 2, np.int64)
+    bounds = np.empty((len(rows) + 1, 2), np.int64)
     moments = np.empty((len(rows) + 1, 10))
     count = 0
     points = np.empty((4, len(rows)))  # of the region at hand: x, y, weight, place along its line
@@ -70,15 +70,14 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
                 bend = _bend(points, size, t0, t1, max_deviation)
                 if bend >= 0:
                     cut = start + _divide(rows, start, points[3], size, points[3, bend])
-                    # the later part is put down first, so that the parts lie in the order of the rows
-                    starts[depth], ends[depth] = cut, end
-                    starts[depth + 1], ends[depth + 1] = start, cut
+                    starts[depth], ends[depth] = start, cut
+                    starts[depth + 1], ends[depth + 1] = cut, end
                     depth += 2
                     continue
             part[6], part[7], part[8], part[9] = mx + t0 * ux, my + t0 * uy, mx + t1 * ux, my + t1 * uy
+            bounds[count, 0], bounds[count, 1] = start, end
             count += 1
-            bounds[count] = end
-    return rows, bounds[: count + 1].copy(), moments[:count].copy()
+    return rows, bounds[:count].copy(), moments[:count].copy()
 
 
 @njit(cache=True, nogil=True)
