@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.flags import build_parser, settings_of
-from frontend.signals import ending_like_interrupts, exit_code_of
+from frontend.signals import ending_like_interrupts, exit_code_of, uninterrupted
 from frontend.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
@@ -333,10 +333,14 @@ def push(
 
     sinks: list[Sink] = []
 
+    def finish(sink: Sink) -> None:
+        with uninterrupted():
+            sink.close()
+
     def prepare(frame: Frame) -> None:
         frontend.warm_up(frame.image)
         for sink in open_sinks():
-            closing_all.callback(sink.close)
+            closing_all.callback(finish, sink)
             sinks.append(sink)
         counter.start()
 
@@ -347,11 +351,12 @@ def push(
         stopping(source),
     ):
         for result in results:
-            started = time.perf_counter()
-            for sink in sinks:
-                sink.write(result)
-            counter.add(result)
-            counter.add_time({"sinks": 1e3 * (time.perf_counter() - started)})
+            with uninterrupted():  # a frame is in all of them, or in none
+                started = time.perf_counter()
+                for sink in sinks:
+                    sink.write(result)
+                counter.add(result)
+                counter.add_time({"sinks": 1e3 * (time.perf_counter() - started)})
             advance()
 
 
