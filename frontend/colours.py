@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
+CYCLE = 6765  # a multiple of 15, for the saturation, and a Fibonacci number, for the hue: no seam
 PALE = 0.55  # how far a tentative track's colour is moved towards white
 
 
@@ -22,7 +25,8 @@ def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = 
     """Colours that stay with a track's id: bright, and far apart for ids that follow each other.
 
     Hues step by the golden ratio, which spreads any run of ids evenly over the circle; saturation changes more slowly,
-    so that ids whose hues come close again still differ. Value stays high: lines lie on dark and bright pictures.
+    so that ids whose hues come close again still differ. Value stays high: lines lie on dark and bright pictures. After
+    `CYCLE` ids the colours come round.
 
     Args:
         ids: (N,) int64 track ids.
@@ -31,9 +35,18 @@ def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = 
     Returns:
         (N, 3) uint8 RGB.
     """
-    saturation = np.array([0.9, 0.65, 0.8])[(ids // 5) % 3]
-    colours = hsv_to_rgb((ids * GOLDEN_RATIO) % 1, saturation, np.full(len(ids), 1.0))
+    bright, pale = _cycle()
+    places = ids % CYCLE
+    colours = bright[places]
     if confirmed is None:
         return colours
-    pale = np.rint(colours + PALE * (255.0 - colours)).astype(np.uint8)
-    return np.where(confirmed[:, None], colours, pale)
+    return np.where(confirmed[:, None], colours, pale[places])
+
+
+@cache
+def _cycle() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """(CYCLE, 3) uint8 RGB each: bright and pale."""
+    ids = np.arange(CYCLE)
+    saturation = np.array([0.9, 0.65, 0.8])[(ids // 5) % 3]
+    bright = hsv_to_rgb((ids * GOLDEN_RATIO) % 1, saturation, np.ones(CYCLE))
+    return bright, np.rint(bright + PALE * (255.0 - bright)).astype(np.uint8)

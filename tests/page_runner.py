@@ -11,7 +11,6 @@ import os
 import re
 import runpy
 import shlex
-import socket
 import subprocess
 import sys
 import threading
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from tests.pages import SHOWN, PageError, blocks_of
+from tests.ports import free_port
 
 SHELL_CHARACTERS = re.compile(r"[|<>;&$*?]")
 TIMEOUT_S = 120
@@ -116,13 +116,6 @@ def publish(address: str) -> None:
     for result in clip_results()[:3]:
         publisher.write(result)
     publisher.close()
-
-
-def free_port() -> int:
-    """A port that no other program on this machine has."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def run_page(page: str) -> list[str]:

@@ -22,6 +22,7 @@ from logs.sinks.mcap_tracks import McapTrackSink
 from logs.sinks.parquet import ParquetTrackSink
 from tests.command import recorded
 from tests.made_tracks import clip_results
+from tests.ports import free_port
 from tests.viewer import RERUN, ROOT, needs_viewer
 from viz.film import write_film
 from viz.importer import NOT_MINE
@@ -190,7 +191,7 @@ def on_path(tmp_path: Path) -> dict[str, str]:
 def test_rerun_starts_the_importer_for_endings_it_does_not_know(files, tmp_path, on_path, name):
     dropped = tmp_path / "clip.lines"
     dropped.symlink_to(files / name)
-    command = [RERUN, dropped, "--save", tmp_path / "out.rrd", "--port", "auto", "--bind", "127.0.0.1"]
+    command = [RERUN, dropped, "--save", tmp_path / "out.rrd", "--port", str(free_port()), "--bind", "127.0.0.1"]
     subprocess.run(command, env=on_path, capture_output=True, timeout=60, check=True)
     assert_tracks(recorded(tmp_path / "out.rrd")["/camera/tracks"], [result.tracks for result in clip_results()])
 

@@ -199,17 +199,19 @@ def test_tails_end_at_the_lines_and_lead_where_they_were(tmp_path):
 
 
 def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
-    from frontend.colours import track_colours
-    from viz.stages import CLASSES
+    from frontend.colours import CYCLE, hsv_to_rgb, track_colours
 
     rows = record(tmp_path / "run.rrd")["/camera/regions"]
     (context,) = (row for row in rows["AnnotationContext:context"] if row)
     colours = {entry["class_id"]: entry["class_description"]["info"]["color"] for entry in context[0]}
-    ids = np.array([0, 1, 77, CLASSES - 1])
+    ids = np.array([0, 1, 77, CYCLE - 1])
     for track, (red, green, blue) in zip(ids.tolist(), track_colours(ids).tolist(), strict=True):
         assert colours[1 + track] == red << 24 | green << 16 | blue << 8 | 255
-    again = track_colours(ids + CLASSES).astype(int)
-    assert np.abs(again - track_colours(ids)).max() <= 2, "classes come round without a visible change"
+    np.testing.assert_array_equal(track_colours(ids + CYCLE), track_colours(ids))
+    seam = np.arange(CYCLE - 5, CYCLE + 5)
+    hues, saturations = seam * (np.sqrt(5) - 1) / 2 % 1, np.repeat([0.8, 0.9], 5)
+    unbroken = hsv_to_rgb(hues, saturations, np.ones(10)).astype(int)
+    assert np.abs(track_colours(seam) - unbroken).max() <= 2, "they come round without a visible seam"
 
 
 def test_layouts(tmp_path):
@@ -301,7 +303,12 @@ def test_settings_reach_the_recording(clip, tmp_path):
     assert rows["/camera/tracks"]["frame"] == [0, 2, 4, 6]
     assert not {"/camera/image", "/camera/descriptor"} & rows.keys()
     assert names_of_views(path) == {"Tracks", "Lines per frame", "Log"}
-    assert command(clip, "--save", tmp_path / "fine.rrd", "--jpeg-quality", 95).code == 0
-    assert command(clip, "--save", tmp_path / "poor.rrd", "--jpeg-quality", 10).code == 0
-    assert (tmp_path / "fine.rrd").stat().st_size > 1.3 * (tmp_path / "poor.rrd").stat().st_size
+    sizes = {}
+    for quality in (95, 10):
+        assert command(clip, "--save", path, "--jpeg-quality", quality).code == 0
+        for name in ("image", "edges"):
+            ((blob,), *_) = recorded(path)[f"/camera/{name}"]["EncodedImage:blob"]
+            sizes[name, quality] = len(blob)
+    assert sizes["image", 95] > 3 * sizes["image", 10]
+    assert sizes["edges", 95] > 2 * sizes["edges", 10]
     assert command(clip, "--save", path, "--jpeg-quality", 0).code == 2

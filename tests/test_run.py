@@ -29,6 +29,7 @@ from airline import __version__
 from frontend.run import has_display
 from frontend.terminal import set_up_logging
 from tests.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
+from tests.ports import free_port
 from viz.viewer import open_viewer
 
 FRAMES = 8
@@ -213,12 +214,6 @@ def test_without_a_display_it_saves_under_the_name_of_the_input(
 def test_the_way_to_open_it_is_quoted_for_the_shell(clip: Path, tmp_path: Path) -> None:
     path = tmp_path / "my run.rrd"
     assert f"rerun '{path}'" in command(clip, "--save", path, "--max-frames", 1).out
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_with_a_display_everything_goes_to_the_viewer(

@@ -20,7 +20,8 @@ import pytest
 from airline.errors import ConfigError, InputError
 from tests.command import command, python, recorded
 from tests.moving_rectangle import frame_results
-from tests.test_viewer_window import free_port, listening, viewers
+from tests.ports import free_port
+from tests.test_viewer_window import listening, viewers
 from viz.rerun_sink import RerunSink
 from viz.viewer import environment, serve
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,15 +15,10 @@ from pathlib import Path
 import pytest
 
 from tests.command import command
+from tests.ports import free_port
 from viz.viewer import environment, open_viewer
 
 NO_SCREEN = ":4077"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def viewers(port: int) -> list[int]:

@@ -13,9 +13,16 @@ import pytest
 
 from frontend.colours import track_colours
 from tests.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
-from viz.colours import angle_colours
+from viz.colours import ANGLES, STRENGTHS, orientation_palette
 from viz.overlay import draw_tracks
-from viz.pictures import coarse_descriptors, edge_image, line_angles, orientation_image, region_image
+from viz.pictures import (
+    coarse_descriptors,
+    edge_image,
+    line_angles,
+    orientation_classes,
+    orientation_image,
+    region_image,
+)
 from viz.rerun_sink import RerunSink
 
 FRAMES = 10
@@ -132,8 +139,20 @@ def test_pictures_decode_to_what_went_in(entities):
 
     assert np.abs(picture("image") - last.frame.image).mean() < 2
     assert np.abs(picture("edges") - edge_image(last.trace, 2)).mean() < 3
-    orientation = cv2.cvtColor(orientation_image(last.trace, 2), cv2.COLOR_RGB2BGR)
-    assert np.abs(picture("orientation") - orientation).mean() < 4
+
+
+def test_orientations_are_numbers_with_colours_and_names(entities):
+    rows = entities["/camera/orientation"]
+    expected = orientation_classes(list(frame_results(FRAMES))[-1].trace, 2)
+    (buffer,) = rows["SegmentationImage:buffer"][-1]
+    np.testing.assert_array_equal(np.array(buffer, np.uint8).reshape(expected.shape), expected)
+    (context,) = (row for row in rows["AnnotationContext:context"] if row)
+    classes = {entry["class_id"]: entry["class_description"]["info"] for entry in context[0]}
+    assert len(classes) == len(orientation_palette()) <= 256
+    for number, (red, green, blue) in enumerate(orientation_palette().tolist()):
+        assert classes[number]["color"] == red << 24 | green << 16 | blue << 8 | 255
+    shown = {classes[number]["label"] for number in np.unique(expected[expected > 0]).tolist()}
+    assert shown == {"0°, 75 % and more", "90°, 75 % and more"}  # of a rectangle
 
 
 def test_file_is_small_and_carries_the_layout(recording):
@@ -234,10 +253,23 @@ def test_orientation_image_shows_angle_as_hue_and_is_black_off_the_edges():
     assert green == blue == 255
 
 
-def test_angle_colours_are_periodic():
-    almost_pi = np.array([np.pi - 1e-6, 0.0], np.float32)
-    first, second = angle_colours(almost_pi, np.ones(2, np.float32))
-    np.testing.assert_array_equal(first, second)
+def test_orientations_are_periodic_and_faint_edges_dark_but_not_black():
+    trace = trace_of(rectangle(0))
+    angles = np.pi - np.array([1e-6, 0.02, 0.04], np.float32)  # radians; one step is 0.052
+    doubled = 2 * (angles[:, None] - np.arange(6) * np.pi / 6)
+    y, x = np.array([10, 20, 30]), np.array([10, 20, 30])
+    edges = np.zeros_like(trace.edges)
+    edges[y, x] = 1.0, 0.1, 0.1
+    some = dataclasses.replace(
+        trace,
+        edges=edges,
+        pixels=np.stack([x, y], axis=1).astype(np.int32),
+        descriptors=np.cos(doubled).astype(np.float32),
+    )
+    classes = orientation_classes(some)[y, x].tolist()
+    assert classes == [STRENGTHS, 1, 1 + STRENGTHS * (ANGLES - 1)]
+    assert np.count_nonzero(orientation_classes(some)) == 3
+    assert orientation_palette()[1:].max(axis=1).min() > 80
 
 
 def test_overlay_draws_where_the_tracks_are_in_their_colours():

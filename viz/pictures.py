@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.trace import Trace
-from viz.colours import angle_colours
-
-MIN_STRENGTH = 0.35  # an edge pixel that the detector kept is never drawn darker than this
+from viz.colours import ANGLES, STRENGTHS, orientation_palette
 
 
 def edge_image(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
@@ -29,9 +27,9 @@ def line_angles(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     doubled = np.arange(descriptors.shape[1]) * (2 * np.pi / descriptors.shape[1])
     basis = np.stack([np.cos(doubled), np.sin(doubled)], axis=1).astype(np.float32)
-    c, s = (descriptors @ basis).T
-    angles: NDArray[np.float32] = np.mod(np.arctan2(s, c) / 2, np.float32(np.pi))
-    return angles
+    c, s = np.ascontiguousarray((descriptors @ basis).T)  # contiguous: numpy's vector instructions want that
+    angles: NDArray[np.float32] = np.arctan2(s, c) / 2
+    return np.where(angles < 0, angles + np.float32(np.pi), angles)
 
 
 def coarse_descriptors(trace: Trace, step: int = 4) -> NDArray[np.float32]:
@@ -42,21 +40,32 @@ def coarse_descriptors(trace: Trace, step: int = 4) -> NDArray[np.float32]:
     return coarse
 
 
+def orientation_classes(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
+    """(H / step, W / step) uint8, rounded up: angle and edge probability of one edge pixel out of each cell.
+
+    Row of `viz.colours.orientation_palette`, which says what each stands for; 0 where there is no edge pixel.
+    """
+    cells = _cell_of_each(trace, step)
+    height, width = _cells(trace, step)
+    chosen = np.full(height * width, -1, np.int32)
+    chosen[cells] = np.arange(len(cells), dtype=np.int32)
+    filled = np.flatnonzero(chosen >= 0)
+    pixels = chosen[filled]
+    x, y = trace.pixels.take(pixels, axis=0).T
+    angles = line_angles(trace.descriptors.take(pixels, axis=0))
+    angle = np.rint(angles * np.float32(ANGLES / np.pi)).astype(np.uint8) % ANGLES
+    strength = np.minimum(trace.edges[y, x] * np.float32(STRENGTHS), STRENGTHS - 1).astype(np.uint8)
+    picture = np.zeros(height * width, np.uint8)
+    picture[filled] = 1 + angle * STRENGTHS + strength
+    return picture.reshape(height, width)
+
+
 def orientation_image(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
     """(H / step, W / step, 3) uint8 RGB, rounded up: one edge pixel out of each cell; black where there is none.
 
     Hue is the pixel's angle, brightness its edge probability.
     """
-    height, width = _cells(trace, step)
-    x, y = trace.pixels.T
-    chosen = np.full(height * width, -1, np.int32)
-    chosen[(y // step) * width + x // step] = np.arange(len(x), dtype=np.int32)
-    cells = np.flatnonzero(chosen >= 0)
-    pixels = chosen[cells]
-    strength = np.clip(trace.edges[y[pixels], x[pixels]], MIN_STRENGTH, 1)
-    picture = np.zeros((height * width, 3), np.uint8)
-    picture[cells] = angle_colours(line_angles(trace.descriptors[pixels]), strength)
-    return picture.reshape(height, width, 3)
+    return orientation_palette()[orientation_classes(trace, step)]
 
 
 def region_image(trace: Trace, classes: NDArray[np.uint16], step: int = 1) -> NDArray[np.uint16]:
@@ -70,11 +79,18 @@ def region_image(trace: Trace, classes: NDArray[np.uint16], step: int = 1) -> ND
     Returns:
         (H / step, W / step) uint16, rounded up; 0 where no pixel supports a line.
     """
-    picture = np.zeros(_cells(trace, step), np.uint16)
-    supporting = trace.labels >= 0
-    x, y = trace.pixels[supporting].T // step
-    picture[y, x] = classes[trace.labels[supporting]]
-    return picture
+    height, width = _cells(trace, step)
+    picture = np.zeros(height * width, np.uint16)
+    supporting = np.flatnonzero(trace.labels >= 0)
+    picture[_cell_of_each(trace, step)[supporting]] = classes[trace.labels[supporting]]
+    return picture.reshape(height, width)
+
+
+def _cell_of_each(trace: Trace, step: int) -> NDArray[np.int32]:
+    """(M,) int32, the cell that each pixel lies in, counted row by row."""
+    x, y = np.ascontiguousarray(trace.pixels.T) // step
+    cells: NDArray[np.int32] = y * np.int32(_cells(trace, step)[1]) + x
+    return cells
 
 
 def _cells(trace: Trace, step: int) -> tuple[int, int]:

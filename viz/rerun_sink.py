@@ -20,14 +20,15 @@ from viz.blueprint import Kind, layout
 from viz.destination import Destination, batches
 from viz.log_lines import LogLines
 from viz.space import Poses, log_lines_3d, log_world, pinhole
-from viz.stages import log_descriptors, log_jpeg, log_region_colours, log_stages
-from viz.statistics import log_figures, log_series
+from viz.stages import log_colours, log_descriptors, log_jpeg, log_stages
+from viz.statistics import FigureLog, log_series
 from viz.streams import open_stream, send_blueprint
 from viz.track_lines import Tails, log_tracks
 from viz.video import VideoReferences
 
 YEAR_2000_NS = 946_684_800_000_000_000
 WAITING = 4  # frames that may wait to be logged
+FIGURES_WAIT_S, FIGURES_WAIT_LIVE_S = 0.5, 0.1
 
 ImageMode = Literal["jpeg", "raw", "video", "none"]
 
@@ -96,6 +97,7 @@ class RerunSink:
         self._stream = open_stream(application_id, batches(live=connect is not None))
         self._stream.set_log_time_enabled(False)  # two timelines that nobody asked for, and their bytes
         self._stream.set_log_tick_enabled(False)
+        self._figures = FigureLog(self._stream, FIGURES_WAIT_S if connect is None else FIGURES_WAIT_LIVE_S)
         self._log_lines = LogLines(self.log)
         try:
             self._destination = Destination(self._stream, None if save is None else Path(save), connect)
@@ -109,7 +111,7 @@ class RerunSink:
         self._send_layout()
         log_series(self._stream)
         if self._stages:
-            log_region_colours(self._stream)
+            log_colours(self._stream)
         if self._video is not None:
             self._video.start(self._stream)
 
@@ -183,6 +185,7 @@ class RerunSink:
         try:
             for waiting in self._pending:
                 waiting.result()
+            self._figures.flush()
         finally:
             self._worker.shutdown(cancel_futures=True)
             self._log_lines.close()
@@ -210,7 +213,7 @@ class RerunSink:
         if descriptor:
             log_descriptors(self._stream, result.trace)
         log_tracks(self._stream, result.tracks, self._tails if self._stages else None)
-        log_figures(self._stream, result)
+        self._figures.add(result, epoch=self._epoch)
 
     def _log_image(self, frame: Frame) -> None:
         if self._video is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pyarrow as pa
@@ -9,52 +11,57 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from airline.trace import Trace
-from frontend.colours import track_colours
+from frontend.colours import CYCLE, track_colours
 from frontend.protocols import FrameResult
-from viz.colours import QUIET
-from viz.pictures import coarse_descriptors, edge_image, orientation_image, region_image
+from viz.colours import ANGLES, QUIET, STRENGTHS, orientation_palette
+from viz.pictures import coarse_descriptors, edge_image, orientation_classes, region_image
 from viz.strips import packed, strips_2d
 
 STEP = 2  # stages are logged at half the resolution: their views are small, and their pictures most of a recording
-CLASSES = 6765  # colours of ids come round: saturation (it is a multiple of 15) and hue (and a Fibonacci number)
 
 
-def log_jpeg(
-    stream: rr.RecordingStream,
-    entity: str,
-    picture: NDArray[np.uint8],
-    quality: int,
-    chroma: int = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-) -> None:
-    """Log a grey or BGR picture. Thin coloured lines need full chroma; OpenCV encodes faster than `rr.Image`."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, chroma]
-    _, encoded = cv2.imencode(".jpg", picture, options)
+def log_jpeg(stream: rr.RecordingStream, entity: str, picture: NDArray[np.uint8], quality: int) -> None:
+    """Log a grey or BGR picture. OpenCV encodes faster than `rr.Image`."""
+    _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
     stream.log(entity, rr.EncodedImage(contents=encoded.tobytes(), media_type="image/jpeg"))
 
 
-def log_region_colours(stream: rr.RecordingStream) -> None:
-    """Log, once, the colours of `/camera/regions`: those of the tracks that the lines belong to."""
+def log_colours(stream: rr.RecordingStream) -> None:
+    """Log, once, what the numbers in `/camera/orientation` and `/camera/regions` stand for.
+
+    Orientations say angle and edge probability when the mouse is over them; regions have the colours of the tracks that
+    the lines belong to.
+    """
+    angle, strength = np.divmod(np.arange(ANGLES * STRENGTHS), STRENGTHS)
+    names = [f"{180 * a // ANGLES}°, {100 * s // STRENGTHS} % and more" for a, s in zip(angle, strength, strict=True)]
+    _log_classes(stream, "/camera/orientation", orientation_palette()[1:], names)
+    _log_classes(stream, "/camera/regions", track_colours(np.arange(CYCLE)), [None] * CYCLE)
+
+
+def _log_classes(
+    stream: rr.RecordingStream, entity: str, colours: NDArray[np.uint8], names: Sequence[str | None]
+) -> None:
     kind = rr.components.AnnotationContextBatch._ARROW_DATATYPE
-    colours = [0x000000FF, *packed(track_colours(np.arange(CLASSES))).tolist()]
+    numbers = [0x000000FF, *packed(colours).tolist()]
     classes = [
         {
             "class_id": k,
             "class_description": {
-                "info": {"id": k, "label": None, "color": colour},
+                "info": {"id": k, "label": name, "color": colour},
                 "keypoint_annotations": [],
                 "keypoint_connections": [],
             },
         }
-        for k, colour in enumerate(colours)
+        for k, (colour, name) in enumerate(zip(numbers, [None, *names], strict=True))
     ]
     context = rr.components.AnnotationContextBatch(pa.array([classes], type=kind))
-    stream.log("/camera/regions", [context.described(rr.AnnotationContext.descriptor_context())], static=True)
+    stream.log(entity, [context.described(rr.AnnotationContext.descriptor_context())], static=True)
 
 
 def region_classes(result: FrameResult) -> NDArray[np.uint16]:
-    """(N,) uint16 class of each line's region: 1 + id of its track modulo CLASSES, 0 for a line without a track."""
+    """(N,) uint16 class of each line's region: 1 + id of its track modulo CYCLE, 0 for a line without a track."""
     classes = np.zeros(len(result.trace.lines), np.uint16)
-    classes[result.tracks.line_indices] = 1 + result.tracks.ids % CLASSES
+    classes[result.tracks.line_indices] = 1 + result.tracks.ids % CYCLE
     return classes
 
 
@@ -62,8 +69,7 @@ def log_stages(stream: rr.RecordingStream, result: FrameResult, quality: int) ->
     """Log edges, orientations and regions, at half the resolution, and the segments."""
     trace = result.trace
     log_jpeg(stream, "/camera/edges", edge_image(trace, STEP), quality)
-    orientation = np.ascontiguousarray(orientation_image(trace, STEP)[:, :, ::-1])
-    log_jpeg(stream, "/camera/orientation", orientation, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    stream.log("/camera/orientation", rr.SegmentationImage(orientation_classes(trace, STEP)))
     stream.log("/camera/regions", rr.SegmentationImage(region_image(trace, region_classes(result), STEP)))
     log_segments(stream, trace)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 
+from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from viz.colours import QUIET
 
@@ -31,7 +35,49 @@ def figures(result: FrameResult) -> dict[str, float]:
     }
 
 
-def log_figures(stream: rr.RecordingStream, result: FrameResult) -> None:
-    """Log the figures under `/stats`."""
-    for path, value in figures(result).items():
-        stream.log(f"/stats/{path}", rr.Scalars(float(value)))
+class FigureLog:
+    """Logs the figures under `/stats`, those of some frames at once: one by one they cost as much as a picture.
+
+    Args:
+        stream: where to log to.
+        wait_s: how long a figure may wait for others.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, wait_s: float) -> None:
+        self._stream = stream
+        self._wait_s = wait_s
+        self._sent = time.monotonic()
+        self._waiting: dict[str, list[tuple[Frame, float]]] = {}
+        self._epoch = False
+
+    def add(self, result: FrameResult, *, epoch: bool) -> None:
+        """Take one frame's figures.
+
+        Args:
+            result: what they are of.
+            epoch: whether the stamps of this recording count from 1970.
+        """
+        for path, value in figures(result).items():
+            self._waiting.setdefault(path, []).append((result.frame, float(value)))
+        self._epoch = epoch
+        if time.monotonic() - self._sent >= self._wait_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Log what is waiting."""
+        for path, rows in self._waiting.items():
+            frames = [frame for frame, _ in rows]
+            values = rr.Scalars.columns(scalars=[value for _, value in rows])
+            self._stream.send_columns(f"/stats/{path}", _times(frames, self._epoch), values)
+        self._waiting.clear()
+        self._sent = time.monotonic()
+
+
+def _times(frames: Sequence[Frame], epoch: bool) -> list[rr.TimeColumn]:
+    stamps = np.array([frame.stamp_ns for frame in frames], np.int64)
+    sensor_time = (
+        rr.TimeColumn("sensor_time", timestamp=stamps.view("datetime64[ns]"))
+        if epoch
+        else rr.TimeColumn("sensor_time", duration=stamps.view("timedelta64[ns]"))
+    )
+    return [rr.TimeColumn("frame", sequence=[frame.index for frame in frames]), sensor_time]
