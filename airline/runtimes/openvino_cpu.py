@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from airline.image import Gray
 from airline.runtimes.fold import fold, unfold
 from airline.runtimes.openvino_graph import build
+from airline.runtimes.sizes import Sizes
 from airline.team import Team, cores
 from airline.weights import load_weights
 
@@ -22,7 +22,6 @@ NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
     "bf16": (ov.Type.bf16, np.uint16),
     "f32": (ov.Type.f32, np.uint32),
 }
-_SIZES = 4  # image sizes that are kept compiled
 
 
 class OpenVinoNetwork:
@@ -45,7 +44,7 @@ class OpenVinoNetwork:
         self._precision = "bf16" if has_bf16 else "f32"
         self._threads = threads
         self._team = Team(cores() if threads is None else threads)
-        self._requests: OrderedDict[tuple[int, int], ov.InferRequest] = OrderedDict()
+        self._requests = Sizes(self._request)
         self._lock = threading.Lock()
 
     @property
@@ -55,23 +54,16 @@ class OpenVinoNetwork:
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
         numbers, codes = NUMBERS[self._precision]
         planes = fold(gray, self._spec, codes, self._team)
-        rows, columns = planes.shape[1:3]
         with self._lock:
-            request = self._request(rows, columns)
+            request = self._requests.of(*planes.shape[1:3])
             request.set_input_tensor(ov.Tensor(planes, ov.Shape(planes.shape), numbers))
             request.infer()
             logits = request.get_output_tensor().data[0].view(codes)
             return unfold(logits, self._spec.unshuffle, gray.shape[0], gray.shape[1], self._team)
 
     def _request(self, rows: int, columns: int) -> ov.InferRequest:
-        key = rows, columns
-        if key not in self._requests:
-            model = build(self._spec, self._weights, rows, columns, NUMBERS[self._precision][0])
-            options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
-            if self._threads is not None:
-                options["INFERENCE_NUM_THREADS"] = self._threads
-            self._requests[key] = self._core.compile_model(model, "CPU", options).create_infer_request()
-            if len(self._requests) > _SIZES:
-                self._requests.popitem(last=False)
-        self._requests.move_to_end(key)
-        return self._requests[key]
+        model = build(self._spec, self._weights, rows, columns, NUMBERS[self._precision][0])
+        options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
+        if self._threads is not None:
+            options["INFERENCE_NUM_THREADS"] = self._threads
+        return self._core.compile_model(model, "CPU", options).create_infer_request()

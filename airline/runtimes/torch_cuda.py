@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +12,10 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray
+from airline.runtimes.sizes import Sizes
 from airline.unet import UNet
 from airline.weights import load_unet
 
-_SIZES = 4  # image sizes that are kept captured
 _WARM_UP = 3  # runs in which torch chooses its kernels: a graph must not hold that
 
 Network = Callable[[torch.Tensor], torch.Tensor]
@@ -64,7 +63,7 @@ class CudaNetwork:
         net = weights if isinstance(weights, UNet) else load_unet(weights)
         self._net: UNet = net.to(device, self._half).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._device, self._capture = device, capture
-        self._graphs: OrderedDict[tuple[object, ...], tuple[torch.Tensor, Callable[[], torch.Tensor]]] = OrderedDict()
+        self._graphs = Sizes(self._graph)
         self._lock = threading.Lock()
 
     @property
@@ -74,20 +73,14 @@ class CudaNetwork:
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
         pixels = torch.from_numpy(np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.int32))
         with self._lock, torch.inference_mode():
-            image, answer = self._graph(pixels)
+            image, answer = self._graphs.of(pixels.shape, pixels.dtype)
             image.copy_(pixels)
             edges: NDArray[np.float32] = answer().to("cpu", copy=True).numpy()
         return edges
 
-    def _graph(self, pixels: torch.Tensor) -> tuple[torch.Tensor, Callable[[], torch.Tensor]]:
-        key = pixels.shape, pixels.dtype
-        if key not in self._graphs:
-            image = pixels.to(self._device, copy=True)
-            self._graphs[key] = image, self._capture(self._edges, image)
-            if len(self._graphs) > _SIZES:
-                self._graphs.popitem(last=False)
-        self._graphs.move_to_end(key)
-        return self._graphs[key]
+    def _graph(self, shape: torch.Size, kind: torch.dtype) -> tuple[torch.Tensor, Callable[[], torch.Tensor]]:
+        image = torch.zeros(shape, dtype=kind, device=self._device)
+        return image, self._capture(self._edges, image)
 
     def _edges(self, image: torch.Tensor) -> torch.Tensor:
         return torch.sigmoid(self._net.answer(image.float()[None, None])[0, 0].float()).contiguous()
