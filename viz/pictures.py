@@ -45,18 +45,11 @@ def orientation_classes(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
 
     Row of `viz.colours.orientation_palette`, which says what each stands for; 0 where there is no edge pixel.
     """
-    cells = _cell_of_each(trace, step)
     height, width = _cells(trace, step)
-    chosen = np.full(height * width, -1, np.int32)
-    chosen[cells] = np.arange(len(cells), dtype=np.int32)
-    filled = np.flatnonzero(chosen >= 0)
-    pixels = chosen[filled]
-    x, y = trace.pixels.take(pixels, axis=0).T
-    angles = line_angles(trace.descriptors.take(pixels, axis=0))
-    angle = np.rint(angles * np.float32(ANGLES / np.pi)).astype(np.uint8) % ANGLES
-    strength = np.minimum(trace.edges[y, x] * np.float32(STRENGTHS), STRENGTHS - 1).astype(np.uint8)
+    angle = np.rint(line_angles(trace.descriptors) * np.float32(ANGLES / np.pi)).astype(np.uint8) % ANGLES
+    strength = np.minimum(trace.edges.take(_cell_of_each(trace, 1)) * np.float32(STRENGTHS), STRENGTHS - 1)
     picture = np.zeros(height * width, np.uint8)
-    picture[filled] = 1 + angle * STRENGTHS + strength
+    picture[_cell_of_each(trace, step)] = 1 + angle * STRENGTHS + strength.astype(np.uint8)
     return picture.reshape(height, width)
 
 

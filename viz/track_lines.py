@@ -37,10 +37,11 @@ class Tails:
             (N,) rows of the confirmed tracks that have a tail; (P, 2) float32 px, the points of all tails, each from
             the oldest place to the present one; (N,) how many of them each tail has.
         """
-        ids = np.union1d(tracks.ids, tracks.lost_ids)
+        ids = np.sort(np.concatenate([tracks.ids, tracks.lost_ids]))
         bends = np.full((len(ids), *self._bends.shape[1:]), np.nan, np.float32)
-        _, now, before = np.intersect1d(ids, self._ids, assume_unique=True, return_indices=True)
-        bends[now] = self._bends[before]
+        before = np.searchsorted(self._ids, ids)
+        now = np.flatnonzero(np.append(self._ids, -1)[before] == ids)
+        bends[now] = self._bends[before[now]]
         here, middles = np.searchsorted(ids, tracks.ids), tracks.segments_px.mean(axis=1)
         points = np.concatenate([bends[here], middles[:, None]], axis=1)
         if self._added % self._step == 0:
