@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from airline.compiled import njit
 
 MARGIN = 4  # pixels at each end of a region at which it is not cut
+WAITING = 63  # parts of a region that are not fitted yet, at most; see `fit_regions`
 
 
 @njit(cache=True, nogil=True)
@@ -44,6 +45,10 @@ def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
 def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ignore[no-untyped-def]
     """Fit every region, cutting the bent ones.
 
+    Of two parts the later one along the line is cut and fitted first, while the other waits. Where as many wait as may,
+    the region is a patch of texture that crumbles from one end: cut on, it would give a swarm of short straight lines
+    that are none. So no more cuts are made there, and what is uncut goes by its score.
+
     Returns the rows of the pixels, those of a part together, (P, 2) where each part begins and ends among them, and per
     part (sw, sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
     """
@@ -53,7 +58,7 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
     moments = np.empty((len(rows) + 1, 10))
     count = 0
     points = np.empty((4, len(rows)))  # of the region at hand: x, y, weight, place along its line
-    starts, ends = np.empty(64, np.int64), np.empty(64, np.int64)  # of what is left of a region
+    starts, ends = np.empty(WAITING + 1, np.int64), np.empty(WAITING + 1, np.int64)  # of what is left of a region
     for region in range(len(offsets) - 1):
         starts[0], ends[0] = offsets[region] - first, offsets[region + 1] - first
         depth = 1
@@ -66,7 +71,7 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
             _sum_moments(points, size, part)
             mx, my, ux, uy = principal(part)
             t0, t1 = _project(points, size, mx, my, ux, uy)
-            if size >= 12 and depth < 62:
+            if size >= 12 and depth < WAITING - 1:
                 bend = _bend(points, size, t0, t1, max_deviation)
                 if bend >= 0:
                     cut = start + _divide(rows, start, points[3], size, points[3, bend])
