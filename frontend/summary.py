@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frontend.protocols import FrameResult
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WINDOW = 10_000  # frames over which medians are taken
+TOGETHER = 100  # frames whose tracks are counted at once
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class SummaryCounter:
         self._stages: dict[str, deque[float]] = {}
         self._latencies: deque[float] = deque(maxlen=WINDOW)
         self._lengths: Counter[int] = Counter()
+        self._hits: list[NDArray[np.int32]] = []  # not yet in there
 
     def start(self) -> None:
         """Start the clock anew: all before was preparation."""
@@ -95,10 +98,17 @@ class SummaryCounter:
         self._live += len(result.tracks)
         self.add_time(result.stage_ms)
         self._latencies.append(result.latency_ms)
-        # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
-        for hits in result.tracks.hits.tolist():
-            self._lengths[hits] += 1
-            self._lengths[hits - 1] -= 1
+        self._hits.append(result.tracks.hits)
+        if len(self._hits) >= TOGETHER:
+            self._count_lengths()
+
+    def _count_lengths(self) -> None:
+        """Every observation moves its track from length h - 1 to length h, so no track needs to be remembered."""
+        if self._hits:
+            for hits, count in zip(*np.unique_counts(np.concatenate(self._hits)), strict=True):
+                self._lengths[int(hits)] += int(count)
+                self._lengths[int(hits) - 1] -= int(count)
+            self._hits.clear()
 
     def add_time(self, stage_ms: Mapping[str, float]) -> None:
         """Count milliseconds of stages, once per frame and stage."""
@@ -108,6 +118,7 @@ class SummaryCounter:
     def summary(self, skipped: int, dropped: int = 0, reconnects: int = 0) -> Summary:
         """The figures so far, with the numbers of frames that could not be read and that there was no time for,
         and of reconnects."""
+        self._count_lengths()
         elapsed = self._latest - self._started
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}

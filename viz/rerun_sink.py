@@ -16,11 +16,12 @@ from airline.errors import AirLineError, ConfigError
 from airline.image import to_uint8
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
+from viz.blobs import jpeg
 from viz.blueprint import Kind, layout
 from viz.destination import Destination, batches
 from viz.log_lines import LogLines
 from viz.space import Poses, log_lines_3d, log_world, pinhole
-from viz.stages import log_colours, log_descriptors, log_jpeg, log_stages
+from viz.stages import log_colours, log_descriptors, log_stages
 from viz.statistics import FigureLog, log_series
 from viz.streams import open_stream, send_blueprint
 from viz.track_lines import Tails, log_tracks
@@ -219,7 +220,7 @@ class RerunSink:
         if self._video is not None:
             self._video.log(self._stream, frame)
         elif self._image == "jpeg":
-            log_jpeg(self._stream, "/camera/image", to_uint8(frame.image), self._jpeg_quality)
+            self._stream.log("/camera/image", jpeg(to_uint8(frame.image), self._jpeg_quality))
         elif self._image == "raw":
             self._stream.log("/camera/image", rr.Image(frame.image, "L" if frame.image.ndim == 2 else "BGR"))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import rerun as rr
@@ -13,17 +12,12 @@ from numpy.typing import NDArray
 from airline.trace import Trace
 from frontend.colours import CYCLE, track_colours
 from frontend.protocols import FrameResult
+from viz.blobs import jpeg, segmentation
 from viz.colours import ANGLES, QUIET, STRENGTHS, orientation_palette
 from viz.pictures import coarse_descriptors, edge_image, orientation_classes, region_image
 from viz.strips import packed, strips_2d
 
 STEP = 2  # stages are logged at half the resolution: their views are small, and their pictures most of a recording
-
-
-def log_jpeg(stream: rr.RecordingStream, entity: str, picture: NDArray[np.uint8], quality: int) -> None:
-    """Log a grey or BGR picture. OpenCV encodes faster than `rr.Image`."""
-    _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    stream.log(entity, rr.EncodedImage(contents=encoded.tobytes(), media_type="image/jpeg"))
 
 
 def log_colours(stream: rr.RecordingStream) -> None:
@@ -68,9 +62,9 @@ def region_classes(result: FrameResult) -> NDArray[np.uint16]:
 def log_stages(stream: rr.RecordingStream, result: FrameResult, quality: int) -> None:
     """Log edges, orientations and regions, at half the resolution, and the segments."""
     trace = result.trace
-    log_jpeg(stream, "/camera/edges", edge_image(trace, STEP), quality)
-    stream.log("/camera/orientation", rr.SegmentationImage(orientation_classes(trace, STEP)))
-    stream.log("/camera/regions", rr.SegmentationImage(region_image(trace, region_classes(result), STEP)))
+    stream.log("/camera/edges", jpeg(edge_image(trace, STEP), quality))
+    stream.log("/camera/orientation", segmentation(orientation_classes(trace, STEP)))
+    stream.log("/camera/regions", segmentation(region_image(trace, region_classes(result), STEP)))
     log_segments(stream, trace)
 
 
