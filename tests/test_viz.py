@@ -89,10 +89,12 @@ def test_epoch_stamps_become_timestamps(tmp_path):
     sink.close()
     from rerun.chunk import RrdReader
 
-    chunks = [c for c in RrdReader(tmp_path / "epoch.rrd").stream().to_chunks() if c.entity_path == "/camera/tracks"]
-    column = chunks[0].to_record_batch().column("sensor_time")
-    assert str(column.type) == "timestamp[ns]"
-    assert column.cast("int64").to_pylist() == [stamp, stamp + STEP_NS]
+    for path in ("/camera/tracks", "/stats/counts/lines"):
+        chunks = [c for c in RrdReader(tmp_path / "epoch.rrd").stream().to_chunks() if c.entity_path == path]
+        (batch,) = (b for b in (c.to_record_batch() for c in chunks) if "sensor_time" in b.schema.names)
+        column = batch.column("sensor_time")
+        assert str(column.type) == "timestamp[ns]"
+        assert column.cast("int64").to_pylist() == [stamp, stamp + STEP_NS]
 
 
 @pytest.mark.parametrize("path", ["/camera/segments", "/camera/tracks"])

@@ -186,9 +186,9 @@ class RerunSink:
         try:
             for waiting in self._pending:
                 waiting.result()
-            self._figures.flush()
         finally:
             self._worker.shutdown(cancel_futures=True)
+            self._figures.flush()
             self._log_lines.close()
             self._destination.close()
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from viz.colours import QUIET
 
@@ -47,7 +46,7 @@ class FigureLog:
         self._stream = stream
         self._wait_s = wait_s
         self._sent = time.monotonic()
-        self._waiting: dict[str, list[tuple[Frame, float]]] = {}
+        self._waiting: dict[str, list[tuple[int, int, float]]] = {}  # frame, stamp, value
         self._epoch = False
 
     def add(self, result: FrameResult, *, epoch: bool) -> None:
@@ -57,8 +56,9 @@ class FigureLog:
             result: what they are of.
             epoch: whether the stamps of this recording count from 1970.
         """
+        frame = result.frame
         for path, value in figures(result).items():
-            self._waiting.setdefault(path, []).append((result.frame, float(value)))
+            self._waiting.setdefault(path, []).append((frame.index, frame.stamp_ns, float(value)))
         self._epoch = epoch
         if time.monotonic() - self._sent >= self._wait_s:
             self.flush()
@@ -66,18 +66,17 @@ class FigureLog:
     def flush(self) -> None:
         """Log what is waiting."""
         for path, rows in self._waiting.items():
-            frames = [frame for frame, _ in rows]
-            values = rr.Scalars.columns(scalars=[value for _, value in rows])
-            self._stream.send_columns(f"/stats/{path}", _times(frames, self._epoch), values)
+            frames, stamps, values = zip(*rows, strict=True)
+            times = _times(frames, stamps, self._epoch)
+            self._stream.send_columns(f"/stats/{path}", times, rr.Scalars.columns(scalars=values))
         self._waiting.clear()
         self._sent = time.monotonic()
 
 
-def _times(frames: Sequence[Frame], epoch: bool) -> list[rr.TimeColumn]:
-    stamps = np.array([frame.stamp_ns for frame in frames], np.int64)
-    sensor_time = (
-        rr.TimeColumn("sensor_time", timestamp=stamps.view("datetime64[ns]"))
-        if epoch
-        else rr.TimeColumn("sensor_time", duration=stamps.view("timedelta64[ns]"))
-    )
-    return [rr.TimeColumn("frame", sequence=[frame.index for frame in frames]), sensor_time]
+def _times(frames: Sequence[int], stamps_ns: Sequence[int], epoch: bool) -> list[rr.TimeColumn]:
+    stamps = np.array(stamps_ns, np.int64)
+    if epoch:
+        sensor_time = rr.TimeColumn("sensor_time", timestamp=stamps.view("datetime64[ns]"))
+    else:
+        sensor_time = rr.TimeColumn("sensor_time", duration=stamps.view("timedelta64[ns]"))
+    return [rr.TimeColumn("frame", sequence=frames), sensor_time]
