@@ -150,6 +150,8 @@ def report(options: argparse.Namespace, save: Path | None, summary: Summary) -> 
     from logs.sinks.open import kind_and_path
 
     Console().print(summary.table())
+    if options.input is None and summary.frames:
+        print("the built-in clip is rendered while it runs, which takes most of the time: videos are faster")
     if save is not None and summary.frames and save.exists():
         print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
     if summary.frames:

@@ -211,6 +211,12 @@ def test_without_a_display_it_saves_under_the_name_of_the_input(
     assert "rerun room.rrd" in outcome.out
 
 
+def test_the_built_in_clip_says_why_it_is_slow(clip: Path, tmp_path: Path) -> None:
+    note = "rendered while it runs"
+    assert note in command("--headless", "--max-frames", 1, "--save", tmp_path / "room.rrd").out
+    assert note not in command(clip, "--headless", "--max-frames", 1, "--save", tmp_path / "clip.rrd").out
+
+
 def test_the_way_to_open_it_is_quoted_for_the_shell(clip: Path, tmp_path: Path) -> None:
     path = tmp_path / "my run.rrd"
     assert f"rerun '{path}'" in command(clip, "--save", path, "--max-frames", 1).out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -39,6 +40,26 @@ def test_viewer_shows_the_tracks_and_has_no_complaints(recording, tmp_path):
     for colour in track_colours(tracks.ids, tracks.confirmed)[:, ::-1]:
         near = np.abs(picture.astype(int) - colour).max(axis=2) < 12
         assert near.sum() > 50, f"no line in the colour {colour}"
+
+
+@needs_viewer
+def test_regions_have_their_tracks_colour_whatever_was_shown_first(tmp_path):
+    """Ids grow, and the viewer went on with the scale of the classes in the frame that it showed first."""
+    from viz.snapshot import _go_to, _headless_viewer, _save_settled, _wait_until_loaded
+
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    for result in frame_results(FRAMES):
+        ids = result.tracks.ids + 700 * result.frame.index
+        sink.write(replace(result, tracks=replace(result.tracks, ids=ids)))
+    sink.close()
+    with _headless_viewer(tmp_path / "run.rrd", (1280, 800), 60) as client:
+        state = _wait_until_loaded(client, tmp_path / "run.rrd")
+        for frame in (1, 8):
+            _go_to(client, state, frame)
+            _save_settled(client, tmp_path / "picture.png")
+    beside = cv2.imread(str(tmp_path / "picture.png"))[:560, 780:].astype(int)  # of the view with the tracks
+    colour = track_colours(np.array([8 * 700]))[0, ::-1]
+    assert (np.abs(beside - colour).max(axis=2) < 12).sum() > 50
 
 
 @needs_viewer

@@ -17,6 +17,8 @@ from viz.colours import ANGLES, QUIET, STRENGTHS, orientation_palette
 from viz.pictures import coarse_descriptors, edge_image, orientation_classes, region_image
 from viz.strips import packed, strips_2d
 
+# In a corner of every picture of regions: the viewer maps 16-bit classes to colours by the largest of the first one.
+LARGEST = CYCLE + 1
 STEP = 2  # stages are logged at half the resolution: their views are small, and their pictures most of a recording
 
 
@@ -29,7 +31,8 @@ def log_colours(stream: rr.RecordingStream) -> None:
     angle, strength = np.divmod(np.arange(ANGLES * STRENGTHS), STRENGTHS)
     names = [f"{180 * a // ANGLES}°, {100 * s // STRENGTHS} % and more" for a, s in zip(angle, strength, strict=True)]
     _log_classes(stream, "/camera/orientation", orientation_palette()[1:], names)
-    _log_classes(stream, "/camera/regions", track_colours(np.arange(CYCLE)), [None] * CYCLE)
+    regions = np.concatenate([track_colours(np.arange(CYCLE)), np.zeros((1, 3), np.uint8)])
+    _log_classes(stream, "/camera/regions", regions, [None] * len(regions))
 
 
 def _log_classes(
@@ -64,7 +67,9 @@ def log_stages(stream: rr.RecordingStream, result: FrameResult, quality: int) ->
     trace = result.trace
     stream.log("/camera/edges", jpeg(edge_image(trace, STEP), quality))
     stream.log("/camera/orientation", segmentation(orientation_classes(trace, STEP)))
-    stream.log("/camera/regions", segmentation(region_image(trace, region_classes(result), STEP)))
+    regions = region_image(trace, region_classes(result), STEP)
+    regions[0, 0] = LARGEST
+    stream.log("/camera/regions", segmentation(regions))
     log_segments(stream, trace)
 
 
