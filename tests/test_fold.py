@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from airline.runtimes.fold import fold, folded_size, unfold
 from airline.spec import UNetSpec
+from airline.team import ALONE, Team
 from airline.unet import UNet, normalise
 
 SPECS = st.builds(
@@ -38,15 +39,37 @@ def test_fold(spec: UNetSpec, height: int, width: int, depth: type, seed: int) -
         torch.nn.functional.pad(image, beyond, mode="replicate"), spec.unshuffle
     )
     expected = torch.cat([blocks, *UNet(spec)._smoothed(blocks)], dim=1).numpy()
-    planes = fold(gray, spec)
-    assert planes.shape[1:3] == folded_size(spec, height, width)
-    np.testing.assert_allclose(planes.view(np.float32).transpose(0, 3, 1, 2), expected, atol=1e-4)
+    planes, of_bfloat16 = (
+        np.full((*expected.shape[2:], expected.shape[1]), 7, kind) for kind in (np.uint32, np.uint16)
+    )
+    assert planes.shape[:2] == folded_size(spec, height, width)
+    fold(gray, spec, planes)
+    np.testing.assert_allclose(planes.view(np.float32).transpose(2, 0, 1)[None], expected, atol=1e-4)
     rounded = torch.from_numpy(planes.view(np.float32)).to(torch.bfloat16)
-    assert np.array_equal(fold(gray, spec, np.uint16), rounded.view(torch.uint16).numpy())
+    fold(gray, spec, of_bfloat16)
+    assert np.array_equal(of_bfloat16, rounded.view(torch.uint16).numpy())
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_a_team_folds_and_unfolds_like_one_thread(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts that are smaller than the smoothed copies' reach, too."""
+    monkeypatch.setattr("airline.runtimes.fold.LEAST_ROWS", 1)
+    spec = UNetSpec(levels=2, unshuffle=side, smoothed=3)
+    gray = np.random.default_rng(0).integers(0, 255, (11 * side, 40), np.uint8)
+    rows, columns = folded_size(spec, *gray.shape)
+    alone, shared = (np.zeros((rows, columns, side * side + 3), np.uint16) for _ in range(2))
+    fold(gray, spec, alone)
+    fold(gray, spec, shared, Team(4))
+    assert np.array_equal(alone, shared)
+    logits = alone[:, :, : side * side].copy()
+    one, many = (unfold(logits, side, *gray.shape, team) for team in (ALONE, Team(4)))
+    assert np.array_equal(one, many)
 
 
 def test_a_flat_image_becomes_zeros() -> None:
-    assert not fold(np.full((20, 30), 77, np.uint8), UNetSpec()).any()
+    planes = np.ones((32, 32, 6), np.uint32)
+    fold(np.full((20, 30), 77, np.uint8), UNetSpec(), planes)
+    assert not planes.any()
 
 
 @settings(max_examples=60, deadline=None)
@@ -67,7 +90,8 @@ def test_unfold(side: int, height: int, width: int, margin: int, seed: int) -> N
     np.testing.assert_allclose(edges, expected, atol=1e-5)
     rounded = torch.from_numpy(logits).to(torch.bfloat16)
     of_bfloat16 = unfold(rounded.view(torch.uint16).numpy(), side, height, width)
-    assert np.array_equal(of_bfloat16, unfold(rounded.float().numpy().view(np.uint32), side, height, width))
+    of_float32 = unfold(rounded.float().numpy().view(np.uint32), side, height, width)
+    np.testing.assert_allclose(of_bfloat16, of_float32, atol=1e-7)
 
 
 @pytest.mark.parametrize("logit", [-np.inf, -1e30, -50, 50, 1e30, np.inf])

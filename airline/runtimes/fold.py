@@ -1,7 +1,11 @@
-"""The image as the edge network takes it, and its answer as an edge map: both in one pass over the pixels."""
+"""The image as the edge network takes it, and its answer as an edge map: both in one pass over the pixels.
+
+An image has few grey levels and bfloat16 few numbers, so most of both is looked up in tables.
+"""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import cv2
@@ -21,7 +25,7 @@ UPPER, ROUND, LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
 A0, A1, A2, A3 = (np.float32(value) for value in (34459425, 4729725, 135135, 990))
 B1, B2, B3, B4 = (np.float32(value) for value in (16216200, 945945, 13860, 45))
 LIMIT = np.float32(6.28)
-LEAST_ROWS = 32  # of the network's first level that are worth a thread
+LEAST_ROWS = 64  # of the network's first level that are worth a thread
 
 Codes = NDArray[np.uint16 | np.uint32]
 
@@ -32,8 +36,8 @@ def folded_size(spec: UNetSpec, height: int, width: int) -> tuple[int, int]:
     return rows, columns
 
 
-def fold(gray: Gray, spec: UNetSpec, codes: type[np.uint16] | type[np.uint32] = np.uint32, team: Team = ALONE) -> Codes:
-    """(1, h, w, C) input of the network: normalised pixels of each block as channels, and smoothed copies.
+def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
+    """Fill the network's input: normalised pixels of each block as channels, and smoothed copies.
 
     The same as `airline.unet.normalise`, `pixel_unshuffle` and `UNet._smoothed` on an image whose last row and column
     are repeated up to the network's stride, with the channels last, as convolutions take them.
@@ -41,71 +45,82 @@ def fold(gray: Gray, spec: UNetSpec, codes: type[np.uint16] | type[np.uint32] = 
     Args:
         gray: the image.
         spec: shape of the network.
-        codes: np.uint16 for the bits of bfloat16, np.uint32 for those of float32: numpy has no bfloat16.
+        planes: (rows, columns, C) of `folded_size`: uint16 for the bits of bfloat16, uint32 for those of float32, as
+            numpy has no bfloat16.
         team: threads that share the work.
     """
-    mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
-    side = spec.unshuffle
-    rows, columns = folded_size(spec, *gray.shape)
-    planes = np.empty((rows, columns, side * side + spec.smoothed), codes)
-    middle = np.empty((rows, columns), np.float32)
-    factor = np.float32(1 / max(deviation, 1.0))
-    team.share(
-        rows, LEAST_ROWS, lambda start, end: _fold(gray, np.float32(mean), factor, side, planes, middle, start, end)
-    )
-    for level in range(spec.smoothed):
-        smooth = np.empty_like(middle)
-        _box_mean(middle, level + 1, smooth)
-        _put_twice(smooth, planes, side * side + level)
-        middle = smooth
-    return planes[None]
+    mean, deviation = (np.float32(value[0, 0]) for value in cv2.meanStdDev(gray))
+    factor = ONE / max(deviation, ONE)
+    levels = (np.arange(np.iinfo(gray.dtype).max + 1, dtype=np.float32) - mean) * factor
+    table = np.empty(len(levels), planes.dtype)
+    _encode(levels.view(np.uint32), table)
+    rows, columns, _ = planes.shape
+    block = _same(spec.unshuffle)
+    reach = sum(range(spec.smoothed + 1))
+
+    def fill(start: int, end: int) -> None:
+        first, last = max(start - reach, 0), min(end + reach, rows)
+        means = np.empty((last - first, columns), np.float32)
+        _fold(gray, block, mean, factor, table, planes, means, first, start, end)
+        for level in range(spec.smoothed):
+            finer, means = means, np.empty_like(means)
+            doubled = planes[start:end, :, len(block) ** 2 + level]
+            _box_mean(finer, _same(2 * level + 3), means, doubled, start - first)
+
+    team.share(rows, LEAST_ROWS, fill)
 
 
 def unfold(logits: Codes, side: int, height: int, width: int, team: Team = ALONE) -> NDArray[np.float32]:
     """(height, width) float32 edge probability of (h, w, side * side) logits, in the codes of `fold`."""
     edges = np.empty((height, width), np.float32)
-    team.share(height, side * LEAST_ROWS, lambda start, end: _unfold(logits, side, edges, start, end))
+    of_bfloat16 = logits.itemsize == 2
+    numbers = logits if of_bfloat16 else logits.view(np.float32)
+    unfold_rows, table = (_look_up, _probabilities()) if of_bfloat16 else (_calculate, None)
+    rows = -(-height // side)
+    team.share(rows, LEAST_ROWS, lambda start, end: unfold_rows(numbers, _same(side), table, edges, start, end))
     return edges
 
 
+def _same(count: int) -> tuple[int, ...]:
+    """A tuple of a length: numba compiles for it, and so unrolls the loops that are as long."""
+    return (0,) * count
+
+
+@cache
+def _probabilities() -> NDArray[np.float32]:
+    """(65536,) float32 sigmoid of every bfloat16 number, by its code."""
+    numbers = (np.arange(1 << 16, dtype=np.uint32) << UPPER).view(np.float32)
+    _sigmoid(numbers)
+    return numbers
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _fold(gray: Any, mean: Any, factor: Any, side: int, planes: Any, middle: Any, start: int, end: int) -> None:
+def _fold(
+    gray: Any, block: Any, mean: Any, factor: Any, table: Any, planes: Any, means: Any, first: int, start: int, end: int
+) -> None:
+    """Rows from `start` to `end` of the planes, and the blocks' means of all rows from `first` on."""
     height, width = gray.shape
-    columns = middle.shape[1]
-    values = np.empty(side * columns, np.float32)
-    codes = np.empty(side * columns, planes.dtype)
+    columns = means.shape[1]
+    side = len(block)
+    lines = np.empty((side, side * columns), gray.dtype)
     share = ONE / np.float32(side * side)
-    for y in range(start, end):
-        total = middle[y]
-        for x in range(columns):
-            total[x] = 0
+    for y in range(first, first + len(means)):
         for dy in range(side):
             line = gray[min(side * y + dy, height - 1)]
             for x in range(width):
-                values[x] = (np.float32(line[x]) - mean) * factor
-            for x in range(width, len(values)):
-                values[x] = values[width - 1]
-            _encode(values.view(np.uint32), codes)
-            for dx in range(side):
-                part, code, out = values[dx::side], codes[dx::side], planes[y, :, side * dy + dx]
-                for x in range(columns):
-                    total[x] += part[x] * share
-                for x in range(columns):
-                    out[x] = code[x]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _put_twice(image: Any, planes: Any, channel: int) -> None:
-    """Double values into a channel."""
-    values = np.empty(image.shape[1], np.float32)
-    codes = np.empty(image.shape[1], planes.dtype)
-    for y in range(len(image)):
-        line, out = image[y], planes[y, :, channel]
-        for x in range(len(values)):
-            values[x] = line[x] + line[x]
-        _encode(values.view(np.uint32), codes)
-        for x in range(len(values)):
-            out[x] = codes[x]
+                lines[dy, x] = line[x]
+            for x in range(width, side * columns):
+                lines[dy, x] = line[width - 1]
+        for x in range(columns if start <= y < end else 0):
+            for dy in range(side):
+                for dx in range(side):
+                    planes[y, x, side * dy + dx] = table[lines[dy, side * x + dx]]
+        for x in range(columns):
+            total = np.int32(0)
+            for dy in range(side):
+                for dx in range(side):
+                    total += lines[dy, side * x + dx]
+            means[y - first, x] = (np.float32(total) * share - mean) * factor
 
 
 @njit(cache=True, nogil=True)
@@ -120,9 +135,12 @@ def _encode(bits: Any, codes: Any) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _box_mean(image: Any, radius: int, out: Any) -> None:
-    """Mean of the square around each pixel, as far as it lies in the image."""
+def _box_mean(image: Any, window: Any, means: Any, doubled: Any, skipped: int) -> None:
+    """Mean of the square around each pixel, as far as it lies in the image; twice that as codes, but for some rows."""
     rows, columns = image.shape
+    radius = len(window) // 2
+    twice = np.empty(columns, np.float32)
+    codes = np.empty(columns, doubled.dtype)
     sums = np.zeros(columns + 2 * radius, np.float32)
     share = np.empty(columns, np.float32)
     for x in range(columns):
@@ -136,34 +154,59 @@ def _box_mean(image: Any, radius: int, out: Any) -> None:
             line = image[row]
             for x in range(columns):
                 middle[x] += line[x]
-        target = out[y]
-        for x in range(columns):
-            target[x] = 0
-        for shift in range(2 * radius + 1):
-            moved = sums[shift : shift + columns]
-            for x in range(columns):
-                target[x] += moved[x]
         share_of_rows = ONE / np.float32(last - first + 1)
         for x in range(columns):
-            target[x] *= share_of_rows * share[x]
+            total = np.float32(0)
+            for shift in range(len(window)):
+                total += sums[x + shift]
+            total *= share_of_rows * share[x]
+            means[y, x] = total
+            twice[x] = total + total
+        if skipped <= y < skipped + len(doubled):
+            _encode(twice.view(np.uint32), codes)
+            for x in range(columns):
+                doubled[y - skipped, x] = codes[x]
+
+
+@njit(cache=True, nogil=True)
+def _look_up(codes: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
+    height, width = edges.shape
+    side = len(block)
+    columns = (width + side - 1) // side
+    lines = np.empty((side, side * columns), np.float32)
+    for y in range(start, end):
+        for x in range(columns):
+            for dy in range(side):
+                for dx in range(side):
+                    lines[dy, side * x + dx] = table[codes[y, x, side * dy + dx]]
+        for dy in range(min(side, height - side * y)):
+            for x in range(width):
+                edges[side * y + dy, x] = lines[dy, x]
+
+
+@njit(cache=True, nogil=True)
+def _calculate(logits: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
+    height, width = edges.shape
+    side = len(block)
+    columns = (width + side - 1) // side
+    lines = np.empty((side, side * columns), np.float32)
+    for y in range(start, end):
+        for x in range(columns):
+            for dy in range(side):
+                for dx in range(side):
+                    lines[dy, side * x + dx] = logits[y, x, side * dy + dx]
+        for dy in range(min(side, height - side * y)):
+            _sigmoid(lines[dy])
+            for x in range(width):
+                edges[side * y + dy, x] = lines[dy, x]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _unfold(logits: Any, side: int, edges: Any, start: int, end: int) -> None:
-    bits = np.empty(logits.shape[1], np.uint32)
-    values = bits.view(np.float32)
-    shift = UPPER if logits.itemsize == 2 else np.uint32(0)
-    for y in range(start, end):
-        out = edges[y]
-        for dx in range(side):
-            part, place = logits[y // side, :, (y % side) * side + dx], out[dx::side]
-            for x in range(len(place)):
-                bits[x] = np.uint32(part[x]) << shift
-            for x in range(len(place)):
-                t = HALF * values[x]
-                t = LIMIT if t > LIMIT else (-LIMIT if t < -LIMIT else t)
-                s = t * t
-                over = A0 + s * (A1 + s * (A2 + s * (A3 + s)))
-                values[x] = HALF + HALF * t * over / (A0 + s * (B1 + s * (B2 + s * (B3 + s * B4))))
-            for x in range(len(place)):
-                place[x] = values[x]
+def _sigmoid(values: Any) -> None:
+    """In place."""
+    for x in range(len(values)):
+        t = HALF * values[x]
+        t = LIMIT if t > LIMIT else (-LIMIT if t < -LIMIT else t)
+        s = t * t
+        over = A0 + s * (A1 + s * (A2 + s * (A3 + s)))
+        values[x] = HALF + HALF * t * over / (A0 + s * (B1 + s * (B2 + s * (B3 + s * B4))))

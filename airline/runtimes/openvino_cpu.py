@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import openvino as ov
 from numpy.typing import NDArray
 
 from airline.image import Gray
-from airline.runtimes.fold import fold, unfold
+from airline.runtimes.fold import Codes, fold, folded_size, unfold
 from airline.runtimes.openvino_graph import build
 from airline.runtimes.sizes import Sizes
 from airline.team import Team, cores
@@ -22,6 +23,15 @@ NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
     "bf16": (ov.Type.bf16, np.uint16),
     "f32": (ov.Type.f32, np.uint32),
 }
+
+
+@dataclass(frozen=True)
+class _Sized:
+    """The network for one size, and the arrays that it reads and writes: rows, columns and channels of codes."""
+
+    request: ov.InferRequest
+    planes: Codes
+    logits: Codes
 
 
 class OpenVinoNetwork:
@@ -44,7 +54,7 @@ class OpenVinoNetwork:
         self._precision = "bf16" if has_bf16 else "f32"
         self._threads = threads
         self._team = Team(cores() if threads is None else threads)
-        self._requests = Sizes(self._request)
+        self._sizes = Sizes(self._sized)
         self._lock = threading.Lock()
 
     @property
@@ -52,18 +62,21 @@ class OpenVinoNetwork:
         return f"openvino {self._precision}"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
-        numbers, codes = NUMBERS[self._precision]
-        planes = fold(gray, self._spec, codes, self._team)
+        height, width = gray.shape
         with self._lock:
-            request = self._requests.of(*planes.shape[1:3])
-            request.set_input_tensor(ov.Tensor(planes, ov.Shape(planes.shape), numbers))
-            request.infer()
-            logits = request.get_output_tensor().data[0].view(codes)
-            return unfold(logits, self._spec.unshuffle, gray.shape[0], gray.shape[1], self._team)
+            sized = self._sizes.of(*folded_size(self._spec, height, width))
+            fold(gray, self._spec, sized.planes, self._team)
+            sized.request.infer()
+            return unfold(sized.logits, self._spec.unshuffle, height, width, self._team)
 
-    def _request(self, rows: int, columns: int) -> ov.InferRequest:
-        model = build(self._spec, self._weights, rows, columns, NUMBERS[self._precision][0])
+    def _sized(self, rows: int, columns: int) -> _Sized:
+        numbers, codes = NUMBERS[self._precision]
+        model = build(self._spec, self._weights, rows, columns, numbers)
         options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
         if self._threads is not None:
             options["INFERENCE_NUM_THREADS"] = self._threads
-        return self._core.compile_model(model, "CPU", options).create_infer_request()
+        request = self._core.compile_model(model, "CPU", options).create_infer_request()
+        planes, logits = (np.empty(port.shape, codes) for port in (model.input(), model.output()))
+        request.set_input_tensor(ov.Tensor(planes, model.input().shape, numbers))
+        request.set_output_tensor(ov.Tensor(logits, model.output().shape, numbers))
+        return _Sized(request, planes[0], logits[0])
