@@ -12,7 +12,7 @@ from airline.compiled import njit
 from airline.errors import ConfigError
 from airline.join import join
 from airline.lines import LineSet
-from airline.moments import fit_regions, residuals
+from airline.moments import fit_regions, residual
 from airline.pixels import EdgePixels
 from airline.reach import reach
 from airline.score import line_scores, score
@@ -80,7 +80,7 @@ class TotalLeastSquaresFitter:
     ) -> tuple[LineSet, NDArray[np.int32]]:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
-        rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation)
+        rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation, self.team)
         merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
         support, scores = edge.support, np.empty(len(moments), np.float32)
 
@@ -89,11 +89,9 @@ class TotalLeastSquaresFitter:
             score(moments, merged, support, scores, start, end)
 
         self.team.share(len(moments), 32, extend)
-        chosen, lines_of = _choose(moments, merged, scores, self.min_length, self.min_score)
-        labels, means = vote(rows, bounds, lines_of, descriptors, len(chosen))
-        moments = moments[chosen]
-        segments = moments[:, 6:].reshape(-1, 2, 2).astype(np.float32)
-        return LineSet(segments, scores[chosen], means, residuals(moments).astype(np.float32)), labels
+        lines_of, segments, scores, residuals = _choose(moments, merged, scores, self.min_length, self.min_score)
+        labels, means = vote(rows, bounds, lines_of, descriptors, len(segments))
+        return LineSet(segments, scores, means, residuals), labels
 
 
 @dataclass(frozen=True)
@@ -191,23 +189,27 @@ def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
-    """The surviving parts that are long and sure enough, and the line number of each part (-1: none)."""
+    """The line number of each part (-1: none); segments, scores and residuals of the survivors that are long and sure
+    enough.
+    """
     count = len(moments)
     numbers = np.full(count, -1, np.int32)
-    chosen = np.empty(count, np.int64)
+    segments, sure, residuals = np.empty((count, 2, 2), np.float32), np.empty_like(scores), np.empty_like(scores)
     lines = 0
     for i in range(count):
         length = np.hypot(moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7])
         if owner[i] == i and length >= min_length and scores[i] >= min_score:
             numbers[i] = lines
-            chosen[lines] = i
+            for end in range(2):
+                segments[lines, end, 0], segments[lines, end, 1] = moments[i, 6 + 2 * end], moments[i, 7 + 2 * end]
+            sure[lines], residuals[lines] = scores[i], residual(moments[i])
             lines += 1
     for i in range(count):
         root = i
         while owner[root] != root:
             root = owner[root]
         numbers[i] = numbers[root]
-    return chosen[:lines].copy(), numbers
+    return numbers, segments[:lines].copy(), sure[:lines].copy(), residuals[:lines].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -25,21 +25,15 @@ def join(moments: NDArray[np.float64], max_gap: float, max_offset: float, min_co
     owner = np.arange(len(moments))
     if max_gap <= 0 or not len(moments):
         return owner
-    ends = moments[:, 6:].reshape(-1, 2).copy()
-    cells = np.maximum(ends / CELL, 0).astype(np.int64)
-    first = np.full(cells.max(axis=0)[::-1] + 1, -1, np.int64)
     lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
-    _join(moments, np.argsort(-lengths, kind="stable"), owner, ends, cells, first, max_gap, max_offset, min_cos)
+    _join(moments, np.argsort(-lengths, kind="stable"), owner, max_gap, max_offset, min_cos)
     return owner
 
 
 @njit(cache=True, nogil=True)
-def _join(moments, longest_first, owner, ends, cells, first, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
-    # the ends in each cell as a linked list
-    following = np.empty(len(ends), np.int64)
-    for end in range(len(ends)):
-        following[end] = first[cells[end, 1], cells[end, 0]]
-        first[cells[end, 1], cells[end, 0]] = end
+def _join(moments, longest_first, owner, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+    ends = moments[:, 6:].copy().reshape(2 * len(moments), 2)
+    first, following = _look_up(ends)
     axes = np.empty((len(moments), 4))  # centre and direction of each part
     for i in range(len(moments)):
         axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3] = principal(moments[i])
@@ -60,6 +54,26 @@ def _join(moments, longest_first, owner, ends, cells, first, max_gap, max_offset
 
 
 @njit(cache=True, nogil=True)
+def _look_up(ends):  # type: ignore[no-untyped-def]
+    """The ends in each cell as linked lists: each cell's first one, and the one that follows each, -1 for none."""
+    rows, columns = 1, 1
+    for end in range(len(ends)):
+        rows, columns = max(rows, _cell(ends[end, 1]) + 1), max(columns, _cell(ends[end, 0]) + 1)
+    first = np.full((rows, columns), -1, np.int64)
+    following = np.empty(len(ends), np.int64)
+    for end in range(len(ends)):
+        row, column = _cell(ends[end, 1]), _cell(ends[end, 0])
+        following[end] = first[row, column]
+        first[row, column] = end
+    return first, following
+
+
+@njit(cache=True, nogil=True)
+def _cell(place):  # type: ignore[no-untyped-def]
+    return int(max(place, 0.0) / CELL)
+
+
+@njit(cache=True, nogil=True)
 def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     """The nearest collinear part beyond one end of part i, or -1."""
     mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
@@ -68,8 +82,8 @@ def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max
         ux, uy = -ux, -uy
     rows, columns = first.shape
     best, best_squared = -1, max_gap * max_gap
-    for cy in range(int(max(ey - max_gap, 0) / CELL), min(rows - 1, int(max(ey + max_gap, 0) / CELL)) + 1):
-        for cx in range(int(max(ex - max_gap, 0) / CELL), min(columns - 1, int(max(ex + max_gap, 0) / CELL)) + 1):
+    for cy in range(_cell(ey - max_gap), min(rows - 1, _cell(ey + max_gap)) + 1):
+        for cx in range(_cell(ex - max_gap), min(columns - 1, _cell(ex + max_gap)) + 1):
             end = first[cy, cx]
             while end >= 0:
                 j, x, y = end // 2, ends[end, 0], ends[end, 1]

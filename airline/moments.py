@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.compiled import njit
+from airline.team import ALONE, Team
 
 MARGIN = 4  # pixels at each end of a region at which it is not cut
 WAITING = 63  # parts of a region that are not fitted yet, at most; see `fit_regions`
@@ -32,35 +33,63 @@ def principal(moments):  # type: ignore[no-untyped-def]
     return mx, my, abs(xy) / (root * sin), np.copysign(sin, xy)
 
 
-def residuals(moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) weighted rms distance of the pixels from their line, px, of (N, 10) parts: the moments' lesser axis."""
-    weight, x, y, xx, xy, yy = moments[:, :6].T
-    mx, my = x / weight, y / weight
-    xx, xy, yy = xx / weight - mx * mx, xy / weight - mx * my, yy / weight - my * my
-    variance = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
 @njit(cache=True, nogil=True)
-def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ignore[no-untyped-def]
+def residual(part):  # type: ignore[no-untyped-def]
+    """Weighted rms distance of a part's pixels from their line, px: the moments' lesser axis."""
+    weight = part[0]
+    mx, my = part[1] / weight, part[2] / weight
+    xx, xy, yy = part[3] / weight - mx * mx, part[4] / weight - mx * my, part[5] / weight - my * my
+    return np.sqrt(max(0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy), 0.0))
+
+
+def fit_regions(
+    positions: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    order: NDArray[np.int64],
+    offsets: NDArray[np.int64],
+    max_deviation: float,
+    team: Team = ALONE,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Fit every region, cutting the bent ones.
 
     Of two parts the later one along the line is cut and fitted first, while the other waits. Where as many wait as may,
     the region is a patch of texture that crumbles from one end: cut on, it would give a swarm of short straight lines
     that are none. So no more cuts are made there, and what is uncut goes by its score.
 
-    Returns the rows of the pixels, those of a part together, (P, 2) where each part begins and ends among them, and per
-    part (sw, sx, sy, sxx, sxy, syy, x0, y0, x1, y1).
+    Args:
+        positions: (M, 2) of all pixels, px.
+        weights: (M,) of all pixels.
+        order, offsets: the pixels of each region, see `airline.fit.group`.
+        max_deviation: px, see `airline.fit.TotalLeastSquaresFitter`.
+        team: threads that share the work.
+
+    Returns:
+        The rows of the pixels, those of a part together, (P, 2) where each part begins and ends among them, and (P, 10)
+        the parts.
     """
-    first = offsets[0]
-    rows = order[first:].copy()
-    bounds = np.empty((len(rows) + 1, 2), np.int64)
-    moments = np.empty((len(rows) + 1, 10))
+    rows, begins = order[offsets[0] :].copy(), offsets - offsets[0]
+
+    def fit(start: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        fitted: tuple[NDArray[np.int64], NDArray[np.float64]] = _fit_regions(
+            positions, weights, rows, begins[start : end + 1], max_deviation
+        )
+        return fitted
+
+    bounds, moments = zip(*team.share(len(begins) - 1, 64, fit), strict=True)
+    return rows, np.concatenate(bounds), np.concatenate(moments)
+
+
+@njit(cache=True, nogil=True)
+def _fit_regions(positions, weights, rows, begins, max_deviation):  # type: ignore[no-untyped-def]
+    """Where the parts of some regions begin and end, and their numbers; puts the rows of a part together."""
+    most = begins[-1] - begins[0]
+    bounds = np.empty((most, 2), np.int64)
+    moments = np.empty((most, 10))
     count = 0
-    points = np.empty((4, len(rows)))  # of the region at hand: x, y, weight, place along its line
+    points = np.empty((4, most))  # of the region at hand: x, y, weight, place along its line
     starts, ends = np.empty(WAITING + 1, np.int64), np.empty(WAITING + 1, np.int64)  # of what is left of a region
-    for region in range(len(offsets) - 1):
-        starts[0], ends[0] = offsets[region] - first, offsets[region + 1] - first
+    for region in range(len(begins) - 1):
+        starts[0], ends[0] = begins[region], begins[region + 1]
         depth = 1
         while depth > 0:
             depth -= 1
@@ -82,7 +111,7 @@ def fit_regions(positions, weights, order, offsets, max_deviation):  # type: ign
             part[6], part[7], part[8], part[9] = mx + t0 * ux, my + t0 * uy, mx + t1 * ux, my + t1 * uy
             bounds[count, 0], bounds[count, 1] = start, end
             count += 1
-    return rows, bounds[:count].copy(), moments[:count].copy()
+    return bounds[:count].copy(), moments[:count].copy()
 
 
 @njit(cache=True, nogil=True)
