@@ -82,7 +82,26 @@ class TotalLeastSquaresFitter:
         order, offsets = group(regions)
         rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation, self.team)
         merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
-        support, scores = edge.support, np.empty(len(moments), np.float32)
+        return self.choose(edge.support, descriptors, rows, bounds, moments, merged)
+
+    def choose(
+        self,
+        support: NDArray[np.float32],
+        descriptors: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        bounds: NDArray[np.int64],
+        moments: NDArray[np.float64],
+        merged: NDArray[np.int64],
+    ) -> tuple[LineSet, NDArray[np.int32]]:
+        """The second half of `fit`: end points, scores, and which parts are lines.
+
+        Args:
+            support: (H, W) the edge map.
+            descriptors: (M, C) of all pixels.
+            rows, bounds, moments: the parts, see `airline.moments.fit_regions`; their end points are changed.
+            merged: the part that each part became one with, see `airline.join.join`.
+        """
+        scores = np.empty(len(moments), np.float32)
 
         def extend(start: int, end: int) -> None:
             reach(moments, merged, support, self.max_reach, start, end)

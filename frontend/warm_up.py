@@ -1,19 +1,24 @@
 """Everything compiled and loaded before the first frame.
 
-On a machine's first start the compiler takes most of the time. It does one thing at a time within a process, so the
-tracker's code is compiled by another process, into the cache, while the detector's is compiled here.
+On a machine's first start the compiler takes most of the time. It does one thing at a time within a process, so another
+process compiles about half of it into the cache, the second half of the line fit and the tracker, while the rest is
+compiled here.
 """
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
+from airline.fit import TotalLeastSquaresFitter
 from airline.lines import LineSet
 from airline.team import cores
 from frontend.frame import Frame
@@ -21,7 +26,7 @@ from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.overlap import _votes
 
-SIZE = 64, 80  # rows and columns of the image in which the tracker's code is compiled
+SIZE = 64, 80  # rows and columns of the image with which the other process compiles
 
 
 def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -34,14 +39,26 @@ def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] |
     """
     helper = _start_helper() if cores() > 1 and _is_cold() else None
     try:
-        lines = detector(image)
-        if helper is not None:
-            helper.wait()  # whatever it answers: what it has not compiled is compiled here
+        with _few_collections():
+            lines = detector(image)
+            if helper is not None:
+                helper.wait()  # whatever it answers: what it has not compiled is compiled here
+            _track(config, image, lines)
     except BaseException:
         if helper is not None:
             helper.kill()
         raise
-    _track(config, image, lines)
+
+
+@contextmanager
+def _few_collections() -> Iterator[None]:
+    """Spare Python's garbage collector the compiler's many objects: looking through all of them takes a second."""
+    usual = gc.get_threshold()
+    gc.set_threshold(*usual[:2], 1000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
 
 
 def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], lines: LineSet) -> None:
@@ -64,6 +81,18 @@ def _start_helper() -> subprocess.Popen[bytes] | None:
         return None
 
 
+def _compile_half() -> None:
+    image, lines = _made_up()
+    length = image.shape[1]
+    x, y = np.arange(length, dtype=np.float64), np.full(length, 32.0)
+    sums = [np.sum(numbers) for numbers in (np.ones(length), x, y, x * x, x * y, y * y)]
+    moments = np.array([[*sums, x[0], y[0], x[-1], y[-1]]])
+    bounds, rows, merged = np.array([[0, length]]), np.arange(length), np.zeros(1, np.int64)
+    descriptors = np.repeat(lines.descriptors[:1], length, axis=0)
+    TotalLeastSquaresFitter().choose(image.astype(np.float32), descriptors, rows, bounds, moments, merged)
+    _track(TrackerConfig(), image, lines)
+
+
 def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
     """A picture and lines in it, of the kinds of array that the detector answers."""
     rows, columns = SIZE
@@ -78,4 +107,5 @@ def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
 
 
 if __name__ == "__main__":
-    _track(TrackerConfig(), *_made_up())
+    with _few_collections():
+        _compile_half()

@@ -65,7 +65,7 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
         for level in range(spec.smoothed):
             finer, means = means, np.empty_like(means)
             doubled = planes[start:end, :, len(block) ** 2 + level]
-            _box_mean(finer, _same(2 * level + 3), means, doubled, start - first)
+            _box_mean(finer, level + 1, means, doubled, start - first)
 
     team.share(rows, LEAST_ROWS, fill)
 
@@ -90,8 +90,8 @@ def _same(count: int) -> tuple[int, ...]:
 def _probabilities() -> NDArray[np.float32]:
     """(65536,) float32 sigmoid of every bfloat16 number, by its code."""
     numbers = (np.arange(1 << 16, dtype=np.uint32) << UPPER).view(np.float32)
-    _sigmoid(numbers)
-    return numbers
+    with np.errstate(over="ignore", invalid="ignore"):  # some are infinite, some no numbers
+        return ONE / (ONE + np.exp(-numbers))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -135,10 +135,9 @@ def _encode(bits: Any, codes: Any) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _box_mean(image: Any, window: Any, means: Any, doubled: Any, skipped: int) -> None:
+def _box_mean(image: Any, radius: int, means: Any, doubled: Any, skipped: int) -> None:
     """Mean of the square around each pixel, as far as it lies in the image; twice that as codes, but for some rows."""
     rows, columns = image.shape
-    radius = len(window) // 2
     twice = np.empty(columns, np.float32)
     codes = np.empty(columns, doubled.dtype)
     sums = np.zeros(columns + 2 * radius, np.float32)
@@ -154,14 +153,17 @@ def _box_mean(image: Any, window: Any, means: Any, doubled: Any, skipped: int) -
             line = image[row]
             for x in range(columns):
                 middle[x] += line[x]
+        target = means[y]
+        for x in range(columns):
+            target[x] = 0
+        for shift in range(2 * radius + 1):
+            moved = sums[shift : shift + columns]
+            for x in range(columns):
+                target[x] += moved[x]
         share_of_rows = ONE / np.float32(last - first + 1)
         for x in range(columns):
-            total = np.float32(0)
-            for shift in range(len(window)):
-                total += sums[x + shift]
-            total *= share_of_rows * share[x]
-            means[y, x] = total
-            twice[x] = total + total
+            target[x] *= share_of_rows * share[x]
+            twice[x] = target[x] + target[x]
         if skipped <= y < skipped + len(doubled):
             _encode(twice.view(np.uint32), codes)
             for x in range(columns):

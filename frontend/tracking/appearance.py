@@ -54,8 +54,13 @@ def _profiles(values, width, height, segments):  # type: ignore[no-untyped-def]
         for c in range(len(OFFSETS)):
             x, y = np.float32(x0 - OFFSETS[c] * nx), np.float32(y0 - OFFSETS[c] * ny)
             lay(width, height, x, y, dx, dy, c * samples, samples, places, work)
+        mean, squares = 0.0, FLOOR * FLOOR
         for c in range(len(OFFSETS)):
             row[c] = total_of(values, width, c * samples, samples, places, work) / samples
-        row -= row.mean()
-        row /= np.sqrt(np.sum(row * row) + FLOOR * FLOOR)
+            mean += row[c] / len(OFFSETS)
+        for c in range(len(OFFSETS)):
+            row[c] -= mean
+            squares += row[c] * row[c]
+        for c in range(len(OFFSETS)):
+            row[c] /= np.sqrt(squares)
     return profiles

@@ -108,7 +108,7 @@ def _fuse(predicted, before, measured, noise, width, height, segments, covarianc
         k10, k11 = (c01 * s11 - c11 * s01) / det, (c11 * s00 - c01 * s01) / det
         offset = (cy - py) * ux - (cx - px) * uy
         turn = np.arctan2(m[1, 1] - m[0, 1], m[1, 0] - m[0, 0]) - angle
-        turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
+        turn -= 2 * np.pi * np.floor(turn / (2 * np.pi) + 0.5)
         shift = k00 * offset + k01 * turn
         angle += k10 * offset + k11 * turn
         # a point of the fused line: the foot of the measurement's middle on the prediction, shifted
