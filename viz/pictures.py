@@ -29,7 +29,7 @@ def line_angles(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     basis = np.stack([np.cos(doubled), np.sin(doubled)], axis=1).astype(np.float32)
     c, s = np.ascontiguousarray((descriptors @ basis).T)  # contiguous: numpy's vector instructions want that
     angles: NDArray[np.float32] = np.arctan2(s, c) / 2
-    return np.where(angles < 0, angles + np.float32(np.pi), angles)
+    return np.asarray(angles + np.float32(np.pi) * (angles < 0), np.float32)
 
 
 def coarse_descriptors(trace: Trace, step: int = 4) -> NDArray[np.float32]:
@@ -79,10 +79,10 @@ def region_image(trace: Trace, classes: NDArray[np.uint16], step: int = 1) -> ND
     return picture.reshape(height, width)
 
 
-def _cell_of_each(trace: Trace, step: int) -> NDArray[np.int32]:
-    """(M,) int32, the cell that each pixel lies in, counted row by row."""
+def _cell_of_each(trace: Trace, step: int) -> NDArray[np.intp]:
+    """(M,) the cell that each pixel lies in, counted row by row; of the kind that arrays are indexed with."""
     x, y = np.ascontiguousarray(trace.pixels.T) // step
-    cells: NDArray[np.int32] = y * np.int32(_cells(trace, step)[1]) + x
+    cells: NDArray[np.intp] = (y * np.int32(_cells(trace, step)[1]) + x).astype(np.intp)
     return cells
 
 
