@@ -49,8 +49,8 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
             numpy has no bfloat16.
         team: threads that share the work.
     """
-    mean, deviation = (np.float32(value[0, 0]) for value in cv2.meanStdDev(gray))
-    factor = ONE / max(deviation, ONE)
+    middle, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
+    mean, factor = np.float32(middle), np.float32(1 / max(deviation, 1.0))
     levels = (np.arange(np.iinfo(gray.dtype).max + 1, dtype=np.float32) - mean) * factor
     table = np.empty(len(levels), planes.dtype)
     _encode(levels.view(np.uint32), table)
