@@ -119,7 +119,7 @@ def test_few_sizes_are_kept() -> None:
     network = OpenVinoNetwork("fast")
     for side in range(16, 176, 16):
         network(np.zeros((side, side), np.uint8))
-    assert len(network._requests) == 4
+    assert len(network._sizes) == 4
 
 
 def test_choice_of_runtime(tmp_path: Path) -> None:

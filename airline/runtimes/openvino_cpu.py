@@ -76,7 +76,6 @@ class OpenVinoNetwork:
         if self._threads is not None:
             options["INFERENCE_NUM_THREADS"] = self._threads
         request = self._core.compile_model(model, "CPU", options).create_infer_request()
-        planes, logits = (np.empty(port.shape, codes) for port in (model.input(), model.output()))
-        request.set_input_tensor(ov.Tensor(planes, model.input().shape, numbers))
-        request.set_output_tensor(ov.Tensor(logits, model.output().shape, numbers))
-        return _Sized(request, planes[0], logits[0])
+        return _Sized(
+            request, *(tensor.data[0].view(codes) for tensor in request.input_tensors + request.output_tensors)
+        )
