@@ -46,6 +46,7 @@ class RegionGrower:
         """
         labels: NDArray[np.int32] = _grow(
             edge.support.shape,
+            np.dtype(np.uint16 if edge.support.shape[1] < 1 << 16 else np.uint32),
             edge.pixels,
             edge.weights,
             descriptors,
@@ -61,29 +62,32 @@ ONE, TWO = np.uint64(1), np.uint64(2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
-    """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
+def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
+    """`kind` of number counts the pixels of a row; `channels` is (0, 1, ...), as loops over tuples unroll."""
     height, width = shape
     count = len(pixels)
     labels = np.full(count, -1, np.int32)
-    # with a margin, so that every pixel has eight neighbours
+    # With a margin, so that every pixel has eight neighbours. The less memory is looked at, the better: a free pixel is
+    # known by its number in its row, from 1 on, and a row by where its pixels begin.
     stride = width + 2
-    free = np.zeros((height + 2) * stride, np.uint8)
-    index = np.empty((height + 2) * stride, np.int32)  # set where `free` was once
-    places = np.empty(count, np.int64)
+    free = np.zeros((height + 2) * stride, kind)
+    before = np.zeros(height + 2, np.int32)
+    places = np.empty(count, np.uint32)
+    last = -1
     for k in range(count):
-        place = np.uint64((pixels[k, 1] + 1) * stride + pixels[k, 0] + 1)
-        free[place] = 1
-        index[place] = k
-        places[k] = place
-    queue = np.empty(count, np.int32)
+        row = pixels[k, 1] + 1
+        if row != last:
+            before[row], last = k - 1, row
+        places[k] = row * stride + pixels[k, 0] + 1
+        free[places[k]] = k - before[row]
+    queue, rows = np.empty(count, np.int32), np.empty(count, np.int32)
     total = np.zeros(len(channels))
     region = 0
     for seed in range(count):
-        if not free[places[seed]] or weights[seed] < seed_threshold:
+        if weights[seed] < seed_threshold or not free[places[seed]]:
             continue
         free[places[seed]] = 0
-        queue[0] = seed
+        queue[0], rows[0] = seed, pixels[seed, 1] + 1
         head, tail = 0, 1
         squared = 0.0
         for c in range(len(channels)):
@@ -91,23 +95,25 @@ def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity, min_p
             squared += total[c] * total[c]
         least = similarity * np.sqrt(squared)
         while head < tail:
-            here = places[queue[head]]
+            here, row = np.int64(places[np.uint64(queue[head])]), rows[head]
             head += 1
-            for row in (here - stride, here, here + stride):
-                place = np.uint64(row - 1)
-                if not free[place] | free[place + ONE] | free[place + TWO]:
+            for down in range(-1, 2):
+                left = np.uint64(here + down * stride - 1)
+                if not free[left] | free[left + ONE] | free[left + TWO]:
                     continue
+                first = before[np.uint64(row + down)]
                 for column in range(3):
-                    place = np.uint64(row - 1 + column)
-                    if not free[place]:
+                    place = left + np.uint64(column)
+                    number = free[place]
+                    if not number:
                         continue
-                    p = index[place]
+                    p = np.uint64(first + number)
                     dot = 0.0
                     for c in range(len(channels)):
                         dot += descriptors[p, c] * total[c]
                     if dot >= least:
                         free[place] = 0
-                        queue[tail] = p
+                        queue[tail], rows[tail] = p, row + down
                         tail += 1
                         squared = 0.0
                         for c in range(len(channels)):
@@ -116,6 +122,6 @@ def _grow(shape, pixels, weights, descriptors, seed_threshold, similarity, min_p
                         least = similarity * np.sqrt(squared)
         if tail >= min_pixels:
             for k in range(tail):
-                labels[queue[k]] = region
+                labels[np.uint64(queue[k])] = region
             region += 1
     return labels

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from airline import AirLine, CannyEdges, ConfigError
 from airline.grow import RegionGrower
 from airline.orientation import LineKernelOrientation
-from airline.pixels import RidgePixels, ThresholdPixels
+from airline.pixels import EdgePixels, RidgePixels, ThresholdPixels
 from tests.ideal import SIZE, soft_map
 
 
@@ -108,3 +108,12 @@ def test_never_merges_the_sides_of_a_right_corner(preset, turn):
 def test_refuses_impossible_settings(similarity, pixels):
     with pytest.raises(ConfigError, match="similarity"):
         RegionGrower(similarity, pixels)
+
+
+def test_rows_with_more_pixels_than_16_bits_count() -> None:
+    """Numbers of pixels in their row are 16 bits wide where that is enough."""
+    width = (1 << 16) + 100
+    pixels = np.stack([np.arange(width), np.ones(width, int)], axis=1).astype(np.int32)
+    ones = np.ones(width, np.float32)
+    edge = EdgePixels(np.zeros((3, width), np.float32), pixels, pixels.astype(np.float32), ones)
+    assert not RegionGrower(0.6, 6).grow(edge, np.stack([ones, 0 * ones], axis=1)).any()
