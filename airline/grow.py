@@ -43,6 +43,9 @@ class RegionGrower:
 
         Returns:
             (M,) int32 region numbers from 0 in raster order of their seeds, -1 for pixels in no region.
+
+        Raises:
+            ValueError: the pixels are not in raster order.
         """
         labels: NDArray[np.int32] = _grow(
             edge.support.shape,
@@ -76,7 +79,9 @@ def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity,
     last = -1
     for k in range(count):
         row = pixels[k, 1] + 1
-        if row != last:
+        if row < last:
+            raise ValueError("edge pixels must be in raster order")
+        if row > last:
             before[row], last = k - 1, row
         places[k] = row * stride + pixels[k, 0] + 1
         free[places[k]] = k - before[row]

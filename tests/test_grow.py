@@ -117,3 +117,10 @@ def test_rows_with_more_pixels_than_16_bits_count() -> None:
     ones = np.ones(width, np.float32)
     edge = EdgePixels(np.zeros((3, width), np.float32), pixels, pixels.astype(np.float32), ones)
     assert not RegionGrower(0.6, 6).grow(edge, np.stack([ones, 0 * ones], axis=1)).any()
+
+
+def test_refuses_pixels_out_of_order() -> None:
+    pixels = np.array([[4, 3], [4, 2]], np.int32)
+    edge = EdgePixels(np.zeros((8, 8), np.float32), pixels, pixels.astype(np.float32), np.ones(2, np.float32))
+    with pytest.raises(ValueError, match="raster order"):
+        RegionGrower(0.6, 1).grow(edge, np.eye(2, dtype=np.float32))
