@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
-from airline.fit import TotalLeastSquaresFitter
 from airline.lines import LineSet
 from airline.team import cores
+from airline.warm_up import compile_choice_of_lines
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig
@@ -81,18 +81,6 @@ def _start_helper() -> subprocess.Popen[bytes] | None:
         return None
 
 
-def _compile_half() -> None:
-    image, lines = _made_up()
-    length = image.shape[1]
-    x, y = np.arange(length, dtype=np.float64), np.full(length, 32.0)
-    sums = [np.sum(numbers) for numbers in (np.ones(length), x, y, x * x, x * y, y * y)]
-    moments = np.array([[*sums, x[0], y[0], x[-1], y[-1]]])
-    bounds, rows, merged = np.array([[0, length]]), np.arange(length), np.zeros(1, np.int64)
-    descriptors = np.repeat(lines.descriptors[:1], length, axis=0)
-    TotalLeastSquaresFitter().choose(image.astype(np.float32), descriptors, rows, bounds, moments, merged)
-    _track(TrackerConfig(), image, lines)
-
-
 def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
     """A picture and lines in it, of the kinds of array that the detector answers."""
     rows, columns = SIZE
@@ -108,4 +96,5 @@ def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
 
 if __name__ == "__main__":
     with _few_collections():
-        _compile_half()
+        compile_choice_of_lines()
+        _track(TrackerConfig(), *_made_up())

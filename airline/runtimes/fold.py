@@ -55,7 +55,7 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
     table = np.empty(len(levels), planes.dtype)
     _encode(levels.view(np.uint32), table)
     rows, columns, _ = planes.shape
-    block = _same(spec.unshuffle)
+    block = _unrolled(spec.unshuffle)
     reach = sum(range(spec.smoothed + 1))
 
     def fill(start: int, end: int) -> None:
@@ -73,15 +73,13 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
 def unfold(logits: Codes, side: int, height: int, width: int, team: Team = ALONE) -> NDArray[np.float32]:
     """(height, width) float32 edge probability of (h, w, side * side) logits, in the codes of `fold`."""
     edges = np.empty((height, width), np.float32)
-    of_bfloat16 = logits.itemsize == 2
-    numbers = logits if of_bfloat16 else logits.view(np.float32)
-    unfold_rows, table = (_look_up, _probabilities()) if of_bfloat16 else (_calculate, None)
-    rows = -(-height // side)
-    team.share(rows, LEAST_ROWS, lambda start, end: unfold_rows(numbers, _same(side), table, edges, start, end))
+    numbers, table = (logits, _probabilities()) if logits.itemsize == 2 else (logits.view(np.float32), None)
+    block, rows = _unrolled(side), -(-height // side)
+    team.share(rows, LEAST_ROWS, lambda start, end: _unfold(numbers, block, table, edges, start, end))
     return edges
 
 
-def _same(count: int) -> tuple[int, ...]:
+def _unrolled(count: int) -> tuple[int, ...]:
     """A tuple of a length: numba compiles for it, and so unrolls the loops that are as long."""
     return (0,) * count
 
@@ -171,7 +169,8 @@ def _box_mean(image: Any, radius: int, means: Any, doubled: Any, skipped: int) -
 
 
 @njit(cache=True, nogil=True)
-def _look_up(codes: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
+def _unfold(numbers: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
+    """`table` has the probability of each number; None where they are float32."""
     height, width = edges.shape
     side = len(block)
     columns = (width + side - 1) // side
@@ -180,25 +179,11 @@ def _look_up(codes: Any, block: Any, table: Any, edges: Any, start: int, end: in
         for x in range(columns):
             for dy in range(side):
                 for dx in range(side):
-                    lines[dy, side * x + dx] = table[codes[y, x, side * dy + dx]]
+                    number = numbers[y, x, side * dy + dx]
+                    lines[dy, side * x + dx] = number if table is None else table[number]
         for dy in range(min(side, height - side * y)):
-            for x in range(width):
-                edges[side * y + dy, x] = lines[dy, x]
-
-
-@njit(cache=True, nogil=True)
-def _calculate(logits: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
-    height, width = edges.shape
-    side = len(block)
-    columns = (width + side - 1) // side
-    lines = np.empty((side, side * columns), np.float32)
-    for y in range(start, end):
-        for x in range(columns):
-            for dy in range(side):
-                for dx in range(side):
-                    lines[dy, side * x + dx] = logits[y, x, side * dy + dx]
-        for dy in range(min(side, height - side * y)):
-            _sigmoid(lines[dy])
+            if table is None:
+                _sigmoid(lines[dy])
             for x in range(width):
                 edges[side * y + dy, x] = lines[dy, x]
 
