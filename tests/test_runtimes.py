@@ -97,6 +97,19 @@ def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec) -> None:
     assert_close(ours(image), TorchNetwork(net.eval())(image), "f32")
 
 
+@pytest.mark.parametrize(
+    "spec", [UNetSpec(base=6, levels=3, convs=2, smoothed=1), UNetSpec(base=4, levels=1), SPECS["default"]]
+)
+def test_pixels_convolved_in_pairs_give_the_same(tmp_path: Path, spec: UNetSpec) -> None:
+    torch.manual_seed(2)
+    save_unet(UNet(spec), tmp_path / "net.safetensors")
+    single, pairs = (in_precision(str(tmp_path / "net.safetensors"), "f32") for _ in range(2))
+    single._pairs, pairs._pairs = False, True
+    for shape in ((50, 42), (31, 97)):
+        image = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+        np.testing.assert_allclose(pairs(image), single(image), atol=1e-5)
+
+
 def test_lines_agree(scene: np.ndarray) -> None:
     ours, theirs = AirLine(runtime="openvino")(scene), AirLine(runtime="torch")(scene)
     assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)

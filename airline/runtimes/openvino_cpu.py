@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
 import numpy as np
 import openvino as ov
 from numpy.typing import NDArray
@@ -23,6 +25,13 @@ NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
     "bf16": (ov.Type.bf16, np.uint16),
     "f32": (ov.Type.f32, np.uint32),
 }
+AMX_DEPTH = 32  # channels that a matrix unit multiplies and adds at once
+
+
+@cache
+def _has_amx() -> bool:
+    """Whether the processor multiplies matrices of bfloat16 numbers."""
+    return bool(llvmlite.binding.get_host_cpu_features().get("amx-bf16", False))
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,7 @@ class OpenVinoNetwork:
         self._core = ov.Core()
         has_bf16 = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
         self._precision = "bf16" if has_bf16 else "f32"
+        self._pairs = has_bf16 and _has_amx() and self._spec.base < AMX_DEPTH
         self._threads = threads
         self._team = Team(cores() if threads is None else threads)
         self._sizes = Sizes(self._sized)
@@ -71,7 +81,7 @@ class OpenVinoNetwork:
 
     def _sized(self, rows: int, columns: int) -> _Sized:
         numbers, codes = NUMBERS[self._precision]
-        model = build(self._spec, self._weights, rows, columns, numbers)
+        model = build(self._spec, self._weights, rows, columns, numbers, self._pairs)
         options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
         if self._threads is not None:
             options["INFERENCE_NUM_THREADS"] = self._threads
