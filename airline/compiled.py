@@ -10,24 +10,30 @@ import numba
 
 log = logging.getLogger(__name__)
 
+# The same for every function: what two of them call with the same types, such as `np.empty`, is then compiled once.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
 _warned = False
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit`; with `cache=True`, a cache that cannot be used costs a warning and time, and nothing else."""
+    """`numba.njit` with `OPTIONS`, more of them, and a cache.
+
+    A cache that cannot be used costs a warning and time, and nothing else.
+    """
+    options = {**OPTIONS, **options}
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
-            dispatcher = numba.njit(**options)(function)
+            dispatcher = numba.njit(cache=True, **options)(function)
         except RuntimeError as error:  # neither beside the source nor in the home folder
             if "no locator available" not in str(error):
                 raise
             _warn("there is no folder to keep it in")
-            return numba.njit(**{**options, "cache": False})(function)
-        if options.get("cache"):
-            cache = dispatcher._cache
-            cache.load_overload = _forgiving(cache.load_overload)
-            cache.save_overload = _forgiving(cache.save_overload)
+            return numba.njit(**options)(function)
+        cache = dispatcher._cache
+        cache.load_overload = _forgiving(cache.load_overload)
+        cache.save_overload = _forgiving(cache.save_overload)
         return dispatcher
 
     return compiled

@@ -134,7 +134,7 @@ class PaperFitter:
         return LineSet(segments, scores, means), regions
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def group(labels):  # type: ignore[no-untyped-def]
     """Rows sorted by label, and where each label's rows begin: label k owns `order[offsets[k]:offsets[k + 1]]`.
 
@@ -181,7 +181,7 @@ def vote(
     return labels, means
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
     """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
     labels = np.full(len(descriptors), -1, np.int32)
@@ -206,7 +206,7 @@ def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore
     return labels, sums
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
     """The line number of each part (-1: none); segments, scores and residuals of the survivors that are long and sure
     enough.
@@ -231,7 +231,7 @@ def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-u
     return numbers, segments[:lines].copy(), sure[:lines].copy(), residuals[:lines].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _paper_fit(positions, order, offsets):  # type: ignore[no-untyped-def]
     segments = np.empty((len(offsets) - 1, 2, 2), np.float32)
     for region in range(len(offsets) - 1):

@@ -64,7 +64,7 @@ class RegionGrower:
 ONE, TWO = np.uint64(1), np.uint64(2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
     """`kind` of number counts the pixels of a row; `channels` is (0, 1, ...), as loops over tuples unroll."""
     height, width = shape
@@ -86,7 +86,7 @@ def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity,
         places[k] = row * stride + pixels[k, 0] + 1
         free[places[k]] = k - before[row]
     queue, rows = np.empty(count, np.int32), np.empty(count, np.int32)
-    total = np.zeros(len(channels))
+    total = np.zeros(len(channels), np.float64)
     region = 0
     for seed in range(count):
         if weights[seed] < seed_threshold or not free[places[seed]]:

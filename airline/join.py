@@ -30,7 +30,7 @@ def join(moments: NDArray[np.float64], max_gap: float, max_offset: float, min_co
     return owner
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _join(moments, longest_first, owner, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     ends = moments[:, 6:].copy().reshape(2 * len(moments), 2)
     first, following = _look_up(ends)
@@ -53,7 +53,7 @@ def _join(moments, longest_first, owner, max_gap, max_offset, min_cos):  # type:
                     break
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _look_up(ends):  # type: ignore[no-untyped-def]
     """The ends in each cell as linked lists: each cell's first one, and the one that follows each, -1 for none."""
     rows, columns = 1, 1
@@ -68,12 +68,12 @@ def _look_up(ends):  # type: ignore[no-untyped-def]
     return first, following
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _cell(place):  # type: ignore[no-untyped-def]
     return int(max(place, 0.0) / CELL)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     """The nearest collinear part beyond one end of part i, or -1."""
     mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
@@ -101,7 +101,7 @@ def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _extend(moments, axes, i, j):  # type: ignore[no-untyped-def]
     """Set the end points of part i to the outermost projections of both parts' end points on the joint line."""
     mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]

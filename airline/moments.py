@@ -16,7 +16,7 @@ MARGIN = 4  # pixels at each end of a region at which it is not cut
 WAITING = 63  # parts of a region that are not fitted yet, at most; see `fit_regions`
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def principal(moments):  # type: ignore[no-untyped-def]
     """Centre and direction of the weighted total-least-squares line of (sw, sx, sy, sxx, sxy, syy)."""
     weight = moments[0]
@@ -33,7 +33,7 @@ def principal(moments):  # type: ignore[no-untyped-def]
     return mx, my, abs(xy) / (root * sin), np.copysign(sin, xy)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def residual(part):  # type: ignore[no-untyped-def]
     """Weighted rms distance of a part's pixels from their line, px: the moments' lesser axis."""
     weight = part[0]
@@ -79,14 +79,14 @@ def fit_regions(
     return rows, np.concatenate(bounds), np.concatenate(moments)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _fit_regions(positions, weights, rows, begins, max_deviation):  # type: ignore[no-untyped-def]
     """Where the parts of some regions begin and end, and their numbers; puts the rows of a part together."""
     most = begins[-1] - begins[0]
     bounds = np.empty((most, 2), np.int64)
-    moments = np.empty((most, 10))
+    moments = np.empty((most, 10), np.float64)
     count = 0
-    points = np.empty((4, most))  # of the region at hand: x, y, weight, place along its line
+    points = np.empty((4, most), np.float64)  # of the region at hand: x, y, weight, place along its line
     starts, ends = np.empty(WAITING + 1, np.int64), np.empty(WAITING + 1, np.int64)  # of what is left of a region
     for region in range(len(begins) - 1):
         starts[0], ends[0] = begins[region], begins[region + 1]
@@ -114,7 +114,7 @@ def _fit_regions(positions, weights, rows, begins, max_deviation):  # type: igno
     return bounds[:count].copy(), moments[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _take(positions, weights, rows, start, size, points):  # type: ignore[no-untyped-def]
     """Bring the pixels of a part together."""
     for k in range(size):
@@ -124,7 +124,7 @@ def _take(positions, weights, rows, start, size, points):  # type: ignore[no-unt
         points[2, place] = weights[row] + 1e-12
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@njit(fastmath={"reassoc", "contract", "nsz"})
 def _sum_moments(points, size, part):  # type: ignore[no-untyped-def]
     """Set the first six numbers of a part."""
     sw, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -139,7 +139,7 @@ def _sum_moments(points, size, part):  # type: ignore[no-untyped-def]
     part[0], part[1], part[2], part[3], part[4], part[5] = sw, sx, sy, sxx, sxy, syy
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+@njit(fastmath={"nnan", "nsz", "contract"})
 def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
     """Set the places along the line; returns the least and the greatest."""
     low, high = np.inf, -np.inf
@@ -150,7 +150,7 @@ def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
     """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
     are left out.
@@ -173,7 +173,7 @@ def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
     return bend
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+@njit(fastmath={"nnan", "nsz", "contract"})
 def _farthest(points, size, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
     """Greatest distance from a chord, times the chord's length."""
     worst = 0.0
@@ -182,7 +182,7 @@ def _farthest(points, size, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
     return worst
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _beyond_margins(along, size):  # type: ignore[no-untyped-def]
     """The least and the greatest place but for `MARGIN - 1` at each end."""
     low, high = np.full(MARGIN, np.inf), np.full(MARGIN, -np.inf)  # sorted, the middle of the line last
@@ -196,7 +196,7 @@ def _beyond_margins(along, size):  # type: ignore[no-untyped-def]
     return low[MARGIN - 1], high[MARGIN - 1]
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _divide(rows, start, along, size, place):  # type: ignore[no-untyped-def]
     """Put the rows of the pixels before a place along a region's line first; returns how many there are."""
     kept = 0

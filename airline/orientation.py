@@ -103,7 +103,7 @@ class GradientOrientation:
         return unit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean, out):  # type: ignore[no-untyped-def]
     """`offsets` are the taps (y, x) as places in the flat map, per channel; tuples, since loops over those unroll."""
     work = np.empty((len(offsets) + 2) * BLOCK, np.float32)
@@ -117,7 +117,7 @@ def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean, out): 
                 out[start + k, n] = value * work[(len(offsets) + 1) * BLOCK + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _sums(flat, height, width, pixels, start, count, taps, offsets, work):  # type: ignore[no-untyped-def]
     """Sums along each line through each pixel, line by line; nothing is beyond the border."""
     half = taps.shape[1] // 2
@@ -140,7 +140,7 @@ def _sums(flat, height, width, pixels, start, count, taps, offsets, work):  # ty
                 work[np.uint64(n * BLOCK + k)] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _scales(count, offsets, subtract_mean, work):  # type: ignore[no-untyped-def]
     """What is to be subtracted from each pixel's sums, and what they are to be multiplied by."""
     channels = len(offsets)

@@ -92,7 +92,7 @@ TINY = np.float32(1e-24)
 REACH = np.float32(0.6)  # px: half a pixel, and some more, so that diagonal ridges stay 8-connected
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def]
     """Ridge pixels of the rows from `start` to `end`, their positions and weights."""
     height, width = edges.shape
@@ -130,7 +130,7 @@ def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def
     return pixels[:count], positions[:count], weights[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})
+@njit(fastmath={"nsz", "arcp", "contract"})
 def _ridge_steps(rows, edges, threshold, steps):  # type: ignore[no-untyped-def]
     """From each pixel of the middle one of three rows to the ridge: x, y, the greater of both, px; far where none is.
 

@@ -12,7 +12,7 @@ STEP = 0.5  # px
 SHARE = 0.25  # of a line's length that each end may move on: what a short line adds is mostly chance
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def reach(moments, owner, support, max_reach, start, end):  # type: ignore[no-untyped-def]
     """Move the end points of the surviving parts from `start` to `end` to where the edge map falls to half the line's
     mean.

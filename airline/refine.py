@@ -65,7 +65,7 @@ class ImageRefiner:
         return replace(lines, segments=segments)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-untyped-def]
     longest = np.hypot(width, height)  # what is longer lies outside
     most = ACROSS * (int(longest) + 1)
@@ -109,7 +109,7 @@ def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-unty
                 line[end, 1] = min(max(line[end, 1] + offset * ux, -0.5), height - 0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _inside(width, height, x, y, dx, dy, start, end):  # type: ignore[no-untyped-def]
     """Those of a line's samples `start` to `end` whose whole profile lies in the image: the first, and the last + 1."""
     while start < end and not _has_profile(width, height, x + start * dx, y + start * dy):
@@ -119,12 +119,12 @@ def _inside(width, height, x, y, dx, dy, start, end):  # type: ignore[no-untyped
     return start, end
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _has_profile(width, height, x, y):  # type: ignore[no-untyped-def]
     return (MARGIN <= x < width - 1 - MARGIN) and (MARGIN <= y < height - 1 - MARGIN)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def _chunk(levels, count, start, end):  # type: ignore[no-untyped-def]
     """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told.
 

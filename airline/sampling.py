@@ -15,7 +15,7 @@ ZERO, BYTE = np.float32(0), np.uint32(255)
 FIRST, SECOND, THIRD = np.uint32(8), np.uint32(16), np.uint32(24)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def blocks_of(image):  # type: ignore[no-untyped-def]
     """(H, W) uint8 image to (H * W) uint32, in each place the four pixels around the point right below of it.
 
@@ -32,7 +32,7 @@ def blocks_of(image):  # type: ignore[no-untyped-def]
     return blocks.reshape(height * width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(fastmath={"contract"})
 def lay(width, height, x, y, dx, dy, first, count, places, work):  # type: ignore[no-untyped-def]
     """Put samples `first` to `first + count` at (x, y) + k (dx, dy), float32 px; what is outside moves to the border.
 
@@ -53,7 +53,7 @@ def lay(width, height, x, y, dx, dy, first, count, places, work):  # type: ignor
         places[place] = row * stride + column
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def blend(blocks, count, places, work):  # type: ignore[no-untyped-def]
     """Replace the first `count` samples' fractions in x by bilinearly interpolated grey levels."""
     for k in range(count):
@@ -61,7 +61,7 @@ def blend(blocks, count, places, work):  # type: ignore[no-untyped-def]
     _blend(count, places, work)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _blend(count, places, work):  # type: ignore[no-untyped-def]
     second = np.uint64(len(places))
     for k in range(count):
@@ -73,7 +73,7 @@ def _blend(count, places, work):  # type: ignore[no-untyped-def]
         work[place] = top + fy * (low + fx * (high - low) - top)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit()
 def total_of(values, width, first, count, places, work):  # type: ignore[no-untyped-def]
     """Sum of samples `first` to `first + count`, bilinearly interpolated, of an image as (H * W) values."""
     stride, second, one = np.uint64(width), np.uint64(len(places)), np.uint64(1)
@@ -89,6 +89,6 @@ def total_of(values, width, first, count, places, work):  # type: ignore[no-unty
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _level(byte):  # type: ignore[no-untyped-def]
     return np.float32(np.int32(byte))

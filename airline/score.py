@@ -10,7 +10,7 @@ from airline.sampling import lay, total_of
 SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def line_scores(support, ends):  # type: ignore[no-untyped-def]
     """(N,) float32 scores in [0, 1] of lines with end points (N, 4), px; see `line_score`."""
     scores = np.empty(len(ends), np.float32)
@@ -20,7 +20,7 @@ def line_scores(support, ends):  # type: ignore[no-untyped-def]
     return scores
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def score(moments, owner, support, scores, start, end):  # type: ignore[no-untyped-def]
     """Set the scores of the surviving parts (rows as in `airline.moments`) from `start` to `end`."""
     room = room_for_samples(support)
@@ -29,7 +29,7 @@ def score(moments, owner, support, scores, start, end):  # type: ignore[no-untyp
             scores[i] = line_score(support, moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9], room)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def line_score(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
     """Score of one line, `mean strength * length / (length + SHORT)`.
 
@@ -40,7 +40,7 @@ def line_score(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
     return np.float32(min(1.0, strength(support, x0, y0, x1, y1, room) * length / (length + SHORT)))
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def room_for_samples(support):  # type: ignore[no-untyped-def]
     """What `strength` needs: the map's values in a row, and arrays for `airline.sampling` that hold any line."""
     height, width = support.shape
@@ -48,7 +48,7 @@ def room_for_samples(support):  # type: ignore[no-untyped-def]
     return support.reshape(height * width), np.empty(most, np.int32), np.empty(2 * most, np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def strength(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
     """Mean of the map along a line, sampled about every pixel."""
     height, width = support.shape
@@ -66,7 +66,7 @@ def strength(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
     return total / samples
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def bilinear(image, x, y):  # type: ignore[no-untyped-def]
     """Value between pixels; 0 more than half a pixel outside the image."""
     height, width = image.shape

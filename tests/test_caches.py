@@ -13,7 +13,7 @@ from tests.command import ROOT
 
 KERNEL = """
 from airline.compiled import njit
-@njit(cache=True, nogil=True)
+@njit()
 def twice(x):
     return 2 * x
 """

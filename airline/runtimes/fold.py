@@ -92,7 +92,7 @@ def _probabilities() -> NDArray[np.float32]:
         return ONE / (ONE + np.exp(-numbers))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(fastmath=True)
 def _fold(
     gray: Any, block: Any, mean: Any, factor: Any, table: Any, planes: Any, means: Any, first: int, start: int, end: int
 ) -> None:
@@ -121,7 +121,7 @@ def _fold(
             means[y - first, x] = (np.float32(total) * share - mean) * factor
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _encode(bits: Any, codes: Any) -> None:
     """Bits of float32 numbers as codes; bfloat16 is their upper half, rounded to the nearest, ties to the even one."""
     if codes.itemsize == 2:
@@ -132,7 +132,7 @@ def _encode(bits: Any, codes: Any) -> None:
             codes[x] = bits[x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(fastmath=True)
 def _box_mean(image: Any, radius: int, means: Any, doubled: Any, skipped: int) -> None:
     """Mean of the square around each pixel, as far as it lies in the image; twice that as codes, but for some rows."""
     rows, columns = image.shape
@@ -168,7 +168,7 @@ def _box_mean(image: Any, radius: int, means: Any, doubled: Any, skipped: int) -
                 doubled[y - skipped, x] = codes[x]
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _unfold(numbers: Any, block: Any, table: Any, edges: Any, start: int, end: int) -> None:
     """`table` has the probability of each number; None where they are float32."""
     height, width = edges.shape
@@ -188,7 +188,7 @@ def _unfold(numbers: Any, block: Any, table: Any, edges: Any, start: int, end: i
                 edges[side * y + dy, x] = lines[dy, x]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(fastmath=True)
 def _sigmoid(values: Any) -> None:
     """In place."""
     for x in range(len(values)):

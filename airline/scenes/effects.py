@@ -92,7 +92,7 @@ def _curve(gamma: float) -> NDArray[np.float32]:
     return (255 * (np.arange(_CURVE + 1) / _CURVE) ** (1 / gamma)).astype(np.float32)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _develop(linear, exposure, vignetting, curve, sigma, key, image):  # type: ignore[no-untyped-def]
     height, width = linear.shape[:2]
     cy, cx = 0.5 * (height - 1), 0.5 * (width - 1)

@@ -22,7 +22,7 @@ BAND = 32  # rows
 SAMPLES = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def project_faces(origins, u, v, rotation, translation, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
     """Faces that look at the camera and may touch the image.
 
@@ -81,7 +81,7 @@ def project_faces(origins, u, v, rotation, translation, focal, cx, cy, width, he
     return faces[:found].copy(), inverse[:found].copy(), bounds[:found].copy(), depths[:found].copy()
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def pixel_functions(inverse, focal, cx, cy):  # type: ignore[no-untyped-def]
     """(M, 3, 3) float64: a/z, b/z and 1/z of each face as c0 x + c1 y + c2 of the pixel's position."""
     functions = np.empty_like(inverse)
@@ -91,7 +91,7 @@ def pixel_functions(inverse, focal, cx, cy):  # type: ignore[no-untyped-def]
     return functions
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def _rasterize(functions, bounds, samples, first_row, columns, nearest, index):  # type: ignore[no-untyped-def]
     """Row of `functions` of the nearest face at every sample of a band of rows, into index (S, B, W) int32; else -1.
 
@@ -138,7 +138,7 @@ def _rasterize(functions, bounds, samples, first_row, columns, nearest, index): 
                     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def _fill(nearest, index, columns, slope, constant, face):  # type: ignore[no-untyped-def]
     """Z-buffer one span; written without branches so that it compiles to vector instructions."""
     for k in range(len(nearest)):
@@ -148,7 +148,7 @@ def _fill(nearest, index, columns, slope, constant, face):  # type: ignore[no-un
         index[k] = face if closer else index[k]
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _texel(bank, start, size, s, t):  # type: ignore[no-untyped-def]
     """Bilinear look-up at tile coordinates (s, t) in a seamless level of size x size px."""
     scale = np.float32(size)
@@ -166,7 +166,7 @@ def _texel(bank, start, size, s, t):  # type: ignore[no-untyped-def]
     return a + ay * (c - a)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def _shade_span(functions, material, texture, bank, f, start, stop, x_offset, y, weight, out):  # type: ignore[no-untyped-def]
     """Add `weight` times the light of face f to the pixels start..stop-1 of a row `out` (W, 3).
 
@@ -206,7 +206,7 @@ def _shade_span(functions, material, texture, bank, f, start, stop, x_offset, y,
             out[column, 2] += light * (low2 + value * range2)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, width, height):  # type: ignore[no-untyped-def]
     """Linear-light image and depth.
 
@@ -256,7 +256,7 @@ def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, widt
     return image, depth
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def _blend_pixel(functions, material, texture, bank, samples, faces, sky, x, y, out, depth):  # type: ignore[no-untyped-def]
     """A pixel whose samples see several `faces` (S,): each is looked up once, inside itself, weighted by its samples.
 
@@ -284,7 +284,7 @@ def _blend_pixel(functions, material, texture, bank, samples, faces, sky, x, y, 
     depth[y, x] = 1 / nearest
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit()
 def _add_sky(sky_map, sky, start, stop, y, weight, out):  # type: ignore[no-untyped-def]
     for x in range(start, stop):
         rise = np.float32(min(max(sky_map[0] * x + sky_map[1] * y + sky_map[2], 0.0), 1.0))

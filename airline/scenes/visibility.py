@@ -18,7 +18,7 @@ SIDE = 1.5  # px from the line at which its two sides are compared
 MERGE = 1.5  # px: closer parallel lines are one line to any observer
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def pipe_outlines(pipes, radii, centre):  # type: ignore[no-untyped-def]
     """(C, 2, 2, 3) float64: per pipe the two lines where rays from `centre` (3,) graze it (NaN from inside)."""
     outlines = np.full((len(pipes), 2, 2, 3), np.nan)
@@ -41,7 +41,7 @@ def pipe_outlines(pipes, radii, centre):  # type: ignore[no-untyped-def]
     return outlines
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _clip(low, high, at0, at1):  # type: ignore[no-untyped-def]
     """The part of [low, high] where the linear function from at0 (t = 0) to at1 (t = 1) is positive."""
     if at0 < 0 and at1 < 0:
@@ -53,7 +53,7 @@ def _clip(low, high, at0, at1):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def clip_to_view(lines, rotation, translation, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
     """Cut lines to what lies in front of the camera and inside the image (pixel centres 0..W-1, 0..H-1).
 
@@ -91,7 +91,7 @@ def clip_to_view(lines, rotation, translation, focal, cx, cy, width, height):  #
     return rows[:found].copy(), points[:found].copy()
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: ignore[no-untyped-def]
     """The parts of lines in the view that no face hides.
 
@@ -147,7 +147,7 @@ def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: igno
     return rows[:found].copy(), pieces[:found].copy()
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _grey_at(grey, x, y):  # type: ignore[no-untyped-def]
     height, width = grey.shape
     x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
@@ -158,7 +158,7 @@ def _grey_at(grey, x, y):  # type: ignore[no-untyped-def]
     return upper * (1 - ay) + lower * ay
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def keep_contrast(rows, pieces, grey, minimum, focal, cx, cy):  # type: ignore[no-untyped-def]
     """The runs of the pieces whose two sides differ by at least `minimum` grey levels in the clean image.
 
@@ -206,7 +206,7 @@ def keep_contrast(rows, pieces, grey, minimum, focal, cx, cy):  # type: ignore[n
     return kept_rows[:found].copy(), kept[:found].copy()
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def drop_doubles(pixels):  # type: ignore[no-untyped-def]
     """(N,) bool: False for a segment that runs within MERGE px of a longer kept one for over half its length.
 

@@ -115,7 +115,7 @@ def _view_lines(
     return np.asarray(back.reshape(-1, 2, 2), np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _score(candidates, views, offsets):  # type: ignore[no-untyped-def]
     """Cut candidates into pieces; move each line to the mean of its supporters; share of views per piece."""
     n_views = len(offsets) - 1
@@ -180,7 +180,7 @@ def _score(candidates, views, offsets):  # type: ignore[no-untyped-def]
     return refined, pieces, shares
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _suppress(pieces, refined):  # type: ignore[no-untyped-def]
     """Mask of the pieces that no better, nearly parallel piece of another scale already covers."""
     keep = np.ones(len(pieces), np.bool_)

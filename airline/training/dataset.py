@@ -103,7 +103,7 @@ def draw_labels(segments: NDArray[np.float32], shares: NDArray[np.float32], size
     return target
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _draw(segments, shares, target):  # type: ignore[no-untyped-def]
     height, width = target.shape
     reach = 2.5

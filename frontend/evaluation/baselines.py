@@ -131,7 +131,7 @@ def nearest_pairs(
     return rows[pairs], columns[pairs]
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untyped-def]
     costs = np.full((len(predicted), len(lines)), forbidden)
     for i in range(len(predicted)):
@@ -146,7 +146,7 @@ def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untype
     return costs
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _lay(one, other):  # type: ignore[no-untyped-def]
     """Mean distance of the ends of one line to another, share of the other that it covers, cosine between both."""
     ux, uy = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1]

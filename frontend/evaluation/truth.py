@@ -42,7 +42,7 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
     return np.where(lines >= 0, ids[lines] if len(ids) else UNKNOWN, lines)
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _owners(detected, pieces, line_of_piece, lines):  # type: ignore[no-untyped-def]
     owner = np.full(len(detected), UNKNOWN, np.int64)
     covered, distance = np.empty(lines), np.empty(lines)
@@ -84,7 +84,7 @@ def _owners(detected, pieces, line_of_piece, lines):  # type: ignore[no-untyped-
     return owner
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _mean_distance(first, last):  # type: ignore[no-untyped-def]
     """Mean absolute value of a linear function between two places where it is known."""
     if first * last >= 0:

@@ -35,7 +35,7 @@ def side_profiles(image: NDArray[np.uint8], segments: NDArray[np.float32]) -> ND
     return profiles
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _profiles(values, width, height, segments):  # type: ignore[no-untyped-def]
     profiles = np.zeros((len(segments), len(OFFSETS)), np.float32)
     places = np.empty(len(OFFSETS) * MOST_SAMPLES, np.int32)

@@ -35,7 +35,7 @@ def assign(
     return chosen
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def]
     n, m = votes.shape
     chosen = np.full(n, -1, np.int32)
@@ -76,7 +76,7 @@ def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def
     return chosen
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _pairs(votes, least, skipped_rows, skipped_columns):  # type: ignore[no-untyped-def]
     """(P, 2) rows and columns with enough votes, row by row, and where each row begins among them."""
     n, m = votes.shape
@@ -101,16 +101,16 @@ def _pairs(votes, least, skipped_rows, skipped_columns):  # type: ignore[no-unty
     return pairs[:count], starts
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _solve(votes, least, rows, columns, chosen):  # type: ignore[no-untyped-def]
     """Assign one group; a row may also take a column of its own that costs nothing and means no pair."""
     n, m = len(rows), len(columns)
-    cost = np.zeros((n, m + n))
+    cost = np.zeros((n, m + n), np.float64)
     for a in range(n):
         for b in range(m):
             vote = votes[rows[a], columns[b]]
             cost[a, b] = -vote if vote >= least else 1.0
-    row_price, column_price = np.zeros(n), np.zeros(m + n + 1)
+    row_price, column_price = np.zeros(n, np.float64), np.zeros(m + n + 1, np.float64)
     owner = np.full(m + n + 1, -1, np.int64)  # row of each column; the last column is where a search starts
     before = np.empty(m + n, np.int64)
     for a in range(n):

@@ -23,7 +23,7 @@ def clip(segments: NDArray[np.float32], size: tuple[int, int]) -> tuple[NDArray[
     return clipped, lengths
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _clip(segments, lengths, width, height):  # type: ignore[no-untyped-def]
     for n in range(len(segments)):
         x, y = np.float64(segments[n, 0, 0]), np.float64(segments[n, 0, 1])
@@ -39,7 +39,7 @@ def _clip(segments, lengths, width, height):  # type: ignore[no-untyped-def]
             lengths[n] = high - low
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def inside(x, y, ux, uy, low, high, width, height):  # type: ignore[no-untyped-def]
     """The part of [low, high] along the line (x, y) + t (ux, uy) that lies in the image; empty if the last is less."""
     for start, step, limit in ((x, ux, width - 0.5), (y, uy, height - 0.5)):

@@ -29,7 +29,7 @@ def parents(seen: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np
     return rows
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _parents(seen, whole):  # type: ignore[no-untyped-def]
     rows = np.full(len(seen), -1, np.int64)
     half = np.float32(0.5)
@@ -69,7 +69,7 @@ def absorbed(
     return mask
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _absorbed(pieces, parent_rows, seen):  # type: ignore[no-untyped-def]
     mask = np.zeros(len(pieces), np.bool_)
     for m in range(len(pieces)):

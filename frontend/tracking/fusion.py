@@ -89,7 +89,7 @@ def fuse(
     return segments, covariances
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _fuse(predicted, before, measured, noise, width, height, segments, covariances):  # type: ignore[no-untyped-def]
     for n in range(len(predicted)):
         p, m = predicted[n].astype(np.float64), measured[n].astype(np.float64)
@@ -114,7 +114,7 @@ def _fuse(predicted, before, measured, noise, width, height, segments, covarianc
         # a point of the fused line: the foot of the measurement's middle on the prediction, shifted
         fx, fy = cx + (offset - shift) * uy, cy - (offset - shift) * ux
         ux, uy = np.cos(angle), np.sin(angle)
-        ends, near = np.empty(2), max(NEAR, NEAR_SHARE * np.hypot(p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]))
+        ends, near = np.empty(2, np.float64), max(NEAR, NEAR_SHARE * np.hypot(p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]))
         for end in range(2):
             sign = 2 * end - 1
             old = sign * ((p[end, 0] - fx) * ux + (p[end, 1] - fy) * uy)

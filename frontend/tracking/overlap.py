@@ -77,7 +77,7 @@ def overlap_votes(
     return votes
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def beside(track, line):  # type: ignore[no-untyped-def]
     """Where a line runs beside a track: shared length, px, its distance there at both ends, and the cosine.
 
@@ -105,7 +105,7 @@ def beside(track, line):  # type: ignore[no-untyped-def]
     return high - low, abs(da + slope * (low - ta)), abs(da + slope * (high - ta)), cosine
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def _votes(  # type: ignore[no-untyped-def]
     tracks, looks, profiles, lines, line_looks, line_profiles, bands, parts, min_alike, min_cos, min_agreement
 ):
@@ -142,7 +142,7 @@ def _votes(  # type: ignore[no-untyped-def]
     return votes
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def lines_near(track, length, band, x, y, lengths, slant, near):  # type: ignore[no-untyped-def]
     """Write down which lines may lie beside a track, and return how many; most of the time goes into saying no."""
     mx, my = np.float32(0.5) * (track[0, 0] + track[1, 0]), np.float32(0.5) * (track[0, 1] + track[1, 1])
