@@ -33,7 +33,7 @@ SIZES = ["320x240", "640x480", "1280x720", "1920x1080"]
 LINES_AT = "640x480"
 KINDS = ("indoor", "street", "shelves")
 SEEDS = range(12, 18)
-BYTES = {"bf16": 2, "f32": 4}  # of an activation
+BYTES = {"int8": 1, "bf16": 2, "f32": 4}  # of an activation
 CONVOLUTION = 256, 64  # channels and side of the one that measures the peak
 
 CURVES = (
@@ -136,7 +136,7 @@ def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
 
 
 def peak_products_per_ms(precision: str) -> float:
-    """Multiplications per millisecond of a large convolution in OpenVINO, "bf16" or "f32"."""
+    """Multiplications per millisecond of a large convolution in OpenVINO, in one of `BYTES`."""
     import openvino as ov
     from openvino import opset13 as op
 
@@ -144,9 +144,15 @@ def peak_products_per_ms(precision: str) -> float:
     image = op.parameter([1, channels, side, side], np.float32)
     kernel = np.random.default_rng(0).standard_normal((channels, channels, 3, 3)).astype(np.float32)
     layers: Any = image
+    ends = np.float32(-1), np.float32(1)
+    narrowed = precision == "int8"
     for _ in range(4):  # in a row, so that what is converted at both ends does not count much
-        layers = op.convolution(layers, kernel, [1, 1], [1, 1], [1, 1], [1, 1])
-    options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": precision}
+        weights: Any = kernel
+        if narrowed:
+            layers, weights = (op.fake_quantize(each, *ends, *ends, 255) for each in (layers, op.constant(kernel)))
+        layers = op.convolution(layers, weights, [1, 1], [1, 1], [1, 1], [1, 1])
+    hint = "f32" if narrowed else precision
+    options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": hint}
     request = ov.Core().compile_model(ov.Model([layers], [image], "peak"), "CPU", options).create_infer_request()
     return 4 * side * side * channels * channels * 9 / _least_ms(request.infer)
 

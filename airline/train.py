@@ -22,6 +22,7 @@ from airline.spec import SPECS
 from airline.training.dataset import Sample, fingerprint, list_images, load_samples
 from airline.training.loop import State, find_device
 from airline.training.loss import PixelWeights
+from airline.training.ranges import measure_ranges
 from airline.training.rendered import HELD_OUT_SEED, render_samples
 from airline.training.schedule import Schedule
 from airline.training.session import Session
@@ -131,8 +132,9 @@ def run(options: argparse.Namespace) -> bool:
     if not session.run(state, rest + scenes, options.seed, weigh):
         return False
     counts = {"images": len(photographs), "scenes": len(scenes), "steps": state.step, "seed": options.seed}
+    ranges = measure_ranges(state.net.folded(), (sample.gray for sample in held_out + held_out_scenes))
     digest = save_unet(
-        state.net, options.out, model=options.model, **{name: str(count) for name, count in counts.items()}
+        state.net, options.out, ranges, model=options.model, **{name: str(count) for name, count in counts.items()}
     )
     log.info("wrote %s  sha256 %s", options.out, digest)
     return True

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType
 
 from airline.spec import UNetSpec
-from airline.weights import load_weights
+from airline.weights import load_ranges, load_weights
 from frontend.calibration import read_calibration
 from frontend.opencv import decode_image
 from frontend.settings import RunConfig, dump, load
@@ -43,7 +43,10 @@ def all_targets(folder: Path) -> dict[str, Target]:
         "image file": (_image_files(), lambda data: _ignore(decode_image(data))),
         "settings": ([dump(RunConfig()).encode()], _file(folder / "s.toml", lambda path: _ignore(load(path, {})))),
         "calibration": (_calibrations(), _file(folder / "c.yaml", lambda path: _ignore(read_calibration(path)))),
-        "weights": ([_weights()], _file(folder / "w.safetensors", lambda path: _ignore(load_weights(path)))),
+        "weights": (
+            [_weights()],
+            _file(folder / "w.safetensors", lambda path: _ignore((load_weights(path), load_ranges(path)))),
+        ),
         "log": (_logs(folder), _file(folder / "l.mcap", _read_log)),
         "tracks in MCAP": (_tracks(folder, "t.mcap"), _file(folder / "d.mcap", _read_tracks)),
         "tracks in Parquet": (_tracks(folder, "t.parquet"), _file(folder / "d.parquet", _read_tracks)),
@@ -95,7 +98,8 @@ def _weights() -> bytes:
     from safetensors.numpy import save
 
     spec = UNetSpec(base=1, levels=1)
-    return save({name: np.zeros(shape, np.float32) for name, shape in spec.shapes().items()}, spec.to_metadata())
+    metadata = {**spec.to_metadata(), "ranges": '{"head": [0, 1]}'}
+    return save({name: np.zeros(shape, np.float32) for name, shape in spec.shapes().items()}, metadata)
 
 
 def _logs(folder: Path) -> list[bytes]:

@@ -25,7 +25,7 @@ from airline.unet import UNet
 from airline.weights import save_unet
 from frontend.sources.scene import SceneSource
 
-WITHIN = {"f32": (1e-4, 1e-6), "bf16": (0.06, 0.002)}  # largest and mean difference of edge probabilities
+WITHIN = {"f32": (1e-4, 1e-6), "bf16": (0.06, 0.002), "int8": (0.2, 0.01)}  # largest and mean difference of edges
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +137,7 @@ def test_few_sizes_are_kept() -> None:
 
 def test_choice_of_runtime(tmp_path: Path) -> None:
     assert open_network("fast", "torch").name == "torch cpu f32"
-    assert open_network("fast", "openvino").name in ("openvino bf16", "openvino f32")
+    assert open_network("fast", "openvino").name.removeprefix("openvino ") in WITHIN
     assert open_network(UNet(SPECS["fast"]).eval()).name.startswith("torch")
     if not torch.cuda.is_available():
         assert open_network("fast").name.startswith("openvino")

@@ -19,7 +19,7 @@ from safetensors import safe_open
 from airline.spec import SPECS
 from airline.train import main
 from airline.training.validation import Validation
-from airline.weights import load_unet
+from airline.weights import load_ranges, load_unet
 from tests.command import ROOT, read_screen
 from tests.pictures import picture
 
@@ -55,6 +55,7 @@ def uninterrupted(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_weights_load_and_pictures_show_what_was_learned(uninterrupted):
     assert load_unet(uninterrupted).spec == SPECS["fast"]
+    assert load_ranges(uninterrupted)["head"][1] > 0, "what 8-bit inference needs"
     (sheet,) = (uninterrupted.parent / "net-samples").iterdir()
     assert sheet.name == "step-000003.png"
     assert cv2.imread(str(sheet)).shape[1] == 4 * 404

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding
 import numpy as np
 import openvino as ov
 from numpy.typing import NDArray
@@ -16,22 +14,18 @@ from numpy.typing import NDArray
 from airline.image import Gray
 from airline.runtimes.fold import Codes, fold, folded_size, unfold
 from airline.runtimes.openvino_graph import build
+from airline.runtimes.processor import has_amx, has_bf16, has_vnni
 from airline.runtimes.sizes import Sizes
 from airline.team import Team, cores
-from airline.weights import load_weights
+from airline.weights import load_ranges, load_weights
 
-# of input and output, in OpenVINO and as numpy holds their bits
+# of input and output, in OpenVINO and as numpy holds their bits; "int8" is that of the convolutions but the first
 NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
     "bf16": (ov.Type.bf16, np.uint16),
     "f32": (ov.Type.f32, np.uint32),
+    "int8": (ov.Type.f32, np.uint32),
 }
 AMX_DEPTH = 32  # channels that a matrix unit multiplies and adds at once
-
-
-@cache
-def _has_amx() -> bool:
-    """Whether the processor multiplies matrices of bfloat16 numbers."""
-    return bool(llvmlite.binding.get_host_cpu_features().get("amx-bf16", False))
 
 
 @dataclass(frozen=True)
@@ -59,9 +53,9 @@ class OpenVinoNetwork:
     def __init__(self, weights: str | Path, threads: int | None = None) -> None:
         self._spec, self._weights = load_weights(weights)
         self._core = ov.Core()
-        has_bf16 = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
-        self._precision = "bf16" if has_bf16 else "f32"
-        self._pairs = has_bf16 and _has_amx() and self._spec.base < AMX_DEPTH
+        self._ranges = load_ranges(weights)
+        self._precision = self._fastest()
+        self._pairs = has_amx() and self._spec.base < AMX_DEPTH
         self._threads = threads
         self._team = Team(cores() if threads is None else threads)
         self._sizes = Sizes(self._sized)
@@ -79,10 +73,17 @@ class OpenVinoNetwork:
             sized.request.infer()
             return unfold(sized.logits, self._spec.unshuffle, height, width, self._team)
 
+    def _fastest(self) -> str:
+        if has_vnni() and not has_amx() and self._ranges:
+            return "int8"
+        offered = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+        return "bf16" if offered and has_bf16() else "f32"
+
     def _sized(self, rows: int, columns: int) -> _Sized:
         numbers, codes = NUMBERS[self._precision]
-        model = build(self._spec, self._weights, rows, columns, numbers, self._pairs)
-        options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._precision}
+        ranges = self._ranges if self._precision == "int8" else None
+        model = build(self._spec, self._weights, rows, columns, numbers, self._pairs, ranges)
+        options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": numbers}
         if self._threads is not None:
             options["INFERENCE_NUM_THREADS"] = self._threads
         request = self._core.compile_model(model, "CPU", options).create_infer_request()

@@ -21,9 +21,11 @@ from airline.spec import UNetSpec
 if TYPE_CHECKING:
     from airline.unet import UNet
 
+Ranges = dict[str, tuple[float, float]]
+
 BUNDLED = {
-    "default": "e6cdbd6ea8736db5514a420d6b5a78a2560e9d093fa0685544d7b47632e57304",
-    "fast": "6271144ff47741f1212e853073723737ae2bf8e5823b54e081c92f0fd0e1f819",
+    "default": "5806eda2bc41a283d4a643fe6de1fc1b664e27ddc9e12a326fac7ac19c689651",
+    "fast": "ee77071d7267a0afcb8af4d411b2597c2f2368ae89a520068749214b88b6ccb1",
 }
 
 
@@ -50,6 +52,26 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
     Raises:
         WeightsError: missing, damaged, or not made for this network.
     """
+    path, metadata, tensors = _read(weights)
+    try:
+        return _checked(metadata, tensors)
+    except (KeyError, ValueError) as error:
+        raise _unfit(path, error) from None
+
+
+def load_ranges(weights: str | Path) -> Ranges:
+    """Least and largest input of each convolution but the first, by its name; arguments and errors of `load_weights`.
+
+    Empty for a file that was written without them, or by an earlier version.
+    """
+    path, metadata, tensors = _read(weights)
+    try:
+        return _checked_ranges(json.loads(metadata.get("ranges", "{}")), tensors)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise _unfit(path, error) from None
+
+
+def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[Any]]]:
     from safetensors import SafetensorError, safe_open
 
     path = bundled_path(str(weights)) if str(weights) in BUNDLED else Path(weights)
@@ -60,18 +82,16 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
     try:
         with safe_open(path, framework="numpy") as stored:
             metadata = stored.metadata() or {}
-            tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118 (not a dict)
+            return path, metadata, {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:
         raise WeightsError(
             f"{path} is not a readable safetensors file ({error}): give a file of airline.train"
         ) from None
-    try:
-        return _checked(metadata, tensors)
-    except (KeyError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise WeightsError(
-            f"{path} does not hold weights of this edge network ({reason}): train with airline.train"
-        ) from None
+
+
+def _unfit(path: Path, error: Exception) -> WeightsError:
+    reason = " ".join(str(error).split())[:200]
+    return WeightsError(f"{path} does not hold weights of this edge network ({reason}): train with airline.train")
 
 
 def load_unet(weights: str | Path) -> UNet:
@@ -104,11 +124,27 @@ def _checked(metadata: dict[str, str], tensors: dict[str, NDArray[Any]]) -> tupl
     return spec, {name: tensor.astype(np.float32, copy=False) for name, tensor in tensors.items()}
 
 
-def save_unet(net: UNet, path: Path, **notes: str) -> str:
-    """Write a network (batch normalisation folded) and notes about its training; returns the file's SHA-256."""
+def _checked_ranges(ranges: Any, tensors: dict[str, NDArray[Any]]) -> Ranges:
+    """Ranges that fit the tensors, or none; raises TypeError and ValueError."""
+    convs = {name.removesuffix(".weight") for name in tensors if name.endswith(".weight")} - {"down.0.0"}
+    if not isinstance(ranges, dict) or (ranges and ranges.keys() != convs):
+        raise ValueError("its ranges are not those of its convolutions")
+    checked = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
+    if not all(-1e6 < low <= high < 1e6 and high > 0 for low, high in checked.values()):
+        raise ValueError("its ranges are no ranges of numbers")
+    return checked
+
+
+def save_unet(net: UNet, path: Path, ranges: Ranges | None = None, **notes: str) -> str:
+    """Write a network (batch normalisation folded) and notes about its training; returns the file's SHA-256.
+
+    With `ranges` (see `airline.training.ranges`) it can run in 8-bit numbers.
+    """
     from safetensors.torch import save
 
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.folded().state_dict().items()}
+    if ranges:
+        notes["ranges"] = json.dumps({name: [round(end, 4) for end in ranges[name]] for name in sorted(ranges)})
     data = _in_order(save(tensors, metadata={**notes, **net.spec.to_metadata()}))
     partial = path.with_name(path.name + ".partial")
     partial.write_bytes(data)

@@ -1,0 +1,34 @@
+"""What the processor multiplies fastest."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+
+import llvmlite.binding
+
+
+def has_amx() -> bool:
+    """Whether it multiplies matrices of bfloat16 numbers."""
+    return _has("amx-bf16") and _allowed("AMX")
+
+
+def has_bf16() -> bool:
+    """Whether it multiplies bfloat16 numbers; OpenVINO also offers to imitate it, which takes three times as long as f32."""
+    return has_amx() or not _has("sse2") or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
+
+
+def has_vnni() -> bool:
+    """Whether it multiplies and adds 8-bit numbers in one instruction, as x86 laptops have since about 2021."""
+    return (_has("avx512vnni") or _has("avxvnni")) and _allowed("VNNI", "BF16", "FP16", "AMX")
+
+
+@cache
+def _has(feature: str) -> bool:
+    return bool(llvmlite.binding.get_host_cpu_features().get(feature, False))
+
+
+def _allowed(*parts: str) -> bool:
+    """Whether oneDNN, and so OpenVINO, may use it: the variable makes a new processor pass for an old one."""
+    limit = os.environ.get("ONEDNN_MAX_CPU_ISA", "ALL").upper()
+    return limit in ("ALL", "DEFAULT") or any(part in limit for part in parts)
