@@ -37,8 +37,9 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
-        runtime: "openvino" (bfloat16 where the processor has it), "torch" (float32 on the CPU), "cuda" (half
-            precision), or "auto": CUDA where there is such a device, else OpenVINO where it is installed, else torch.
+        runtime: "openvino" (bfloat16 or 8-bit numbers where the processor is made for them), "torch" (float32 on the
+            CPU), "cuda" (half precision), or "auto": CUDA where there is such a device, else OpenVINO where it is
+            installed, else torch.
         threads: how many of the processor's cores OpenVINO works on; all by default.
 
     Raises:

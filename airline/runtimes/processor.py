@@ -14,12 +14,12 @@ def has_amx() -> bool:
 
 
 def has_bf16() -> bool:
-    """Whether it multiplies bfloat16 numbers; OpenVINO also offers to imitate it, which takes three times as long as f32."""
+    """Whether it multiplies bfloat16 numbers; OpenVINO also offers to imitate it, three times slower than float32."""
     return has_amx() or not _has("sse2") or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
 
 
 def has_vnni() -> bool:
-    """Whether it multiplies and adds 8-bit numbers in one instruction, as x86 laptops have since about 2021."""
+    """Whether it multiplies and adds 8-bit numbers in one instruction, as most x86 laptops have since 2020."""
     return (_has("avx512vnni") or _has("avxvnni")) and _allowed("VNNI", "BF16", "FP16", "AMX")
 
 
