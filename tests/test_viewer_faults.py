@@ -22,6 +22,7 @@ from tests.command import command, python, recorded
 from tests.moving_rectangle import frame_results
 from tests.ports import free_port
 from tests.test_viewer_window import listening, viewers
+from viz.destination import Destination
 from viz.rerun_sink import RerunSink
 from viz.viewer import environment, serve
 
@@ -112,6 +113,18 @@ def test_a_port_that_never_reads_costs_one_warning_and_two_seconds(tmp_path, cap
     with caplog.at_level(logging.WARNING), mute_port() as port:
         record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}")
     assert time.monotonic() - begin < 8
+    (warning,) = caplog.records
+    assert "takes no data" in warning.getMessage()
+    assert frames_in(tmp_path / "run.rrd") == list(range(FRAMES))
+
+
+def test_the_goodbye_to_a_port_that_never_reads_ends(tmp_path, caplog, monkeypatch):
+    """Rerun's flush has been seen to return although nothing had arrived; what follows it then waits."""
+    monkeypatch.setattr(Destination, "_flush", lambda self: None)
+    begin = time.monotonic()
+    with caplog.at_level(logging.WARNING), mute_port() as port:
+        record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}", image="raw")
+    assert time.monotonic() - begin < 12
     (warning,) = caplog.records
     assert "takes no data" in warning.getMessage()
     assert frames_in(tmp_path / "run.rrd") == list(range(FRAMES))

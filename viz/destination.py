@@ -92,10 +92,24 @@ class Destination:
         self._beat.join()
         self._flush()
         self._check_place()
+        over = threading.Event()
+        threading.Thread(target=self._cut_if_stuck, args=(over,), name="rerun-end", daemon=True).start()
         self._stream.disconnect()
+        over.set()
         if self._relay is not None:
             self._relay.cut()
         self.check()
+
+    def _cut_if_stuck(self, over: threading.Event) -> None:
+        """Rerun's last goodbye may wait for a viewer for ever, even if its flush did not."""
+        moved = -1
+        while not over.wait(STUCK_S):
+            if self._relay is None:
+                return
+            if self._relay.moved == moved:
+                self._give_up("it takes no data")
+            else:
+                moved = self._relay.moved
 
     def _abandon(self) -> None:
         """What nobody has closed must not keep the interpreter from ending."""
