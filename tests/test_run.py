@@ -253,6 +253,9 @@ def test_with_a_display_everything_goes_to_the_viewer(
                     assert time.monotonic() < deadline
                     time.sleep(0.05)
             outcome = command(clip)
+            size = -1
+            while size != (size := received.stat().st_size):  # the viewer writes what it received in its own time
+                time.sleep(0.5)
         finally:
             os.killpg(viewer.pid, signal.SIGTERM)  # `rerun` is a launcher: the viewer is its child
     assert outcome.code == 0
