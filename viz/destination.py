@@ -102,14 +102,12 @@ class Destination:
 
     def _cut_if_stuck(self, over: threading.Event) -> None:
         """Rerun's last goodbye may wait for a viewer for ever, even if its flush did not."""
-        moved = -1
-        while not over.wait(STUCK_S):
-            if self._relay is None:
-                return
-            if self._relay.moved == moved:
+        relay, moved = self._relay, -1
+        while relay is not None and not over.wait(STUCK_S):
+            if relay.moved == moved:
                 self._give_up("it takes no data")
-            else:
-                moved = self._relay.moved
+                return
+            moved = relay.moved
 
     def _abandon(self) -> None:
         """What nobody has closed must not keep the interpreter from ending."""

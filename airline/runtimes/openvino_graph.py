@@ -16,7 +16,7 @@ from airline.weights import Ranges
 
 Weights = Mapping[str, NDArray[np.float32]]
 
-LEAST = 1e-9  # a range of numbers is not empty
+LEAST = 1e-9  # a range must not be empty, as that of a map of zeros would be
 
 
 def build(

@@ -15,7 +15,8 @@ def has_amx() -> bool:
 
 def has_bf16() -> bool:
     """Whether it multiplies bfloat16 numbers; OpenVINO also offers to imitate it, three times slower than float32."""
-    return has_amx() or not _has("sse2") or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
+    other_than_x86 = not _has("sse2")  # there OpenVINO is believed
+    return other_than_x86 or has_amx() or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
 
 
 def has_vnni() -> bool:

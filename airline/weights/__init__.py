@@ -130,7 +130,7 @@ def _checked_ranges(ranges: Any, tensors: dict[str, NDArray[Any]]) -> Ranges:
     if not isinstance(ranges, dict) or (ranges and ranges.keys() != convs):
         raise ValueError("its ranges are not those of its convolutions")
     checked = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-    if not all(-1e6 < low <= high < 1e6 and high > 0 for low, high in checked.values()):
+    if not all(-1e6 < low <= high < 1e6 for low, high in checked.values()):
         raise ValueError("its ranges are no ranges of numbers")
     return checked
 
