@@ -25,7 +25,7 @@ types: .venv/installed
 	$(BIN)/mypy
 
 unit: .venv/installed
-	$(BIN)/python -m pytest --numprocesses logical --dist loadfile
+	$(BIN)/python -m pytest --numprocesses logical --dist loadfile --max-worker-restart 0
 
 # damaged and hostile input for every reader of files and messages: 280,000 inputs, some minutes
 fuzz: .venv/installed

@@ -5,10 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import logging
-import os
 import re
-import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -30,6 +27,7 @@ from frontend.run import has_display
 from frontend.terminal import set_up_logging
 from tests.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
 from tests.ports import free_port
+from tests.viewer import RERUN, saving_viewer
 from viz.viewer import open_viewer
 
 FRAMES = 8
@@ -226,8 +224,7 @@ def test_with_a_display_everything_goes_to_the_viewer(
     clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The viewer is Rerun's own, already open, and told to save what it receives instead of opening a window."""
-    executable = Path(sys.executable).parent / "rerun"
-    if not executable.exists():
+    if not RERUN.exists():
         pytest.skip("Rerun's viewer is not installed beside this Python")
     port = free_port()
     (tmp_path / "cwd").mkdir()
@@ -235,29 +232,8 @@ def test_with_a_display_everything_goes_to_the_viewer(
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, port))
     received = tmp_path / "received.rrd"
-    listen = [executable, "--port", str(port), "--save", str(received)]
-    with subprocess.Popen(
-        listen,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    ) as viewer:
-        try:
-            deadline = time.monotonic() + 20
-            while True:
-                try:
-                    socket.create_connection(("127.0.0.1", port)).close()
-                    break
-                except OSError:
-                    assert time.monotonic() < deadline
-                    time.sleep(0.05)
-            outcome = command(clip)
-            size = -1
-            while size != (size := received.stat().st_size):  # the viewer writes what it received in its own time
-                time.sleep(0.5)
-        finally:
-            os.killpg(viewer.pid, signal.SIGTERM)  # `rerun` is a launcher: the viewer is its child
+    with saving_viewer(port, received):
+        outcome = command(clip)
     assert outcome.code == 0
     assert "saved" not in outcome.out
     assert not list(Path.cwd().iterdir())

@@ -128,6 +128,34 @@ def test_results_are_the_callers_own_and_threads_do_not_mix(scene: np.ndarray) -
     assert len({result.ctypes.data for result in together}) == len(together)
 
 
+SIGNALS_AFTER_NETWORKS = """
+import faulthandler, gc, signal, threading
+from airline.runtimes.openvino_cpu import OpenVinoNetwork
+
+def drop_the_first():
+    del networks[0]
+    gc.collect()
+
+faulthandler.enable()  # as tests and many robots do: signals then have a stack of their own
+signal.signal(signal.SIGTERM, lambda *_: print("told", flush=True))
+networks = [OpenVinoNetwork("fast"), OpenVinoNetwork("fast")]
+drop_the_first()
+drop_the_first()
+signal.raise_signal(signal.SIGTERM)
+networks = [OpenVinoNetwork("fast")]
+thread = threading.Thread(target=drop_the_first)
+thread.start()
+thread.join()
+signal.raise_signal(signal.SIGTERM)
+"""
+
+
+def test_signals_arrive_after_networks_have_gone() -> None:
+    """A library's stack for signals must not go with one of its networks."""
+    done = subprocess.run([sys.executable, "-c", SIGNALS_AFTER_NETWORKS], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()) == (0, ["told", "told"]), done.stderr
+
+
 def test_few_sizes_are_kept() -> None:
     network = OpenVinoNetwork("fast")
     for side in range(16, 176, 16):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import os
 import signal
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,9 +37,12 @@ def usual_handlers() -> Iterator[None]:
 
 
 def tell(sign: signal.Signals) -> None:
-    """Send a signal to this process; its handler runs before this returns."""
-    os.kill(os.getpid(), sign)
-    time.sleep(0)
+    """Send a signal to this thread, the main one: its handler runs before this returns.
+
+    Of one that is sent to the process any thread may be told, and the handler then runs at some later time.
+    """
+    assert threading.current_thread() is threading.main_thread()
+    signal.raise_signal(sign)
 
 
 @pytest.mark.parametrize("sign", SIGNALS)

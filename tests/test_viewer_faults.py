@@ -20,13 +20,12 @@ import pytest
 from airline.errors import ConfigError, InputError
 from tests.command import command, python, recorded
 from tests.moving_rectangle import frame_results
-from tests.ports import free_port
-from tests.test_viewer_window import listening, viewers
+from tests.ports import free_port, listening
+from tests.viewer import RERUN, saving_viewer, viewers
 from viz.destination import Destination
 from viz.rerun_sink import RerunSink
 from viz.viewer import environment, serve
 
-RERUN = Path(sys.executable).with_name("rerun")
 FRAMES = 10
 
 needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
@@ -183,22 +182,8 @@ def test_a_viewer_that_fails_in_the_middle(long_clip, tmp_path, sign):
 @needs_rerun
 def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
     port, received = free_port(), tmp_path / "received.rrd"
-    viewer = subprocess.Popen(
-        [RERUN, "--bind", "127.0.0.1", "--port", str(port), "--save", str(received)],
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    try:
-        while not listening(port):
-            time.sleep(0.05)
-        with caplog.at_level(logging.WARNING):
-            done = command(clip, "--save", tmp_path / "run.rrd", "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
-        time.sleep(0.5)
-    finally:
-        os.killpg(viewer.pid, signal.SIGKILL)
-        viewer.wait()
+    with saving_viewer(port, received), caplog.at_level(logging.WARNING):
+        done = command(clip, "--save", tmp_path / "run.rrd", "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
     assert done.code == 0
     assert not caplog.records
     with warnings.catch_warnings():
@@ -247,7 +232,10 @@ def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
         _, err = run.communicate(timeout=20)
     assert run.returncode == 0
     assert err == ""
-    assert not listening(port)
+    until = time.monotonic() + 10  # as above
+    while listening(port):
+        assert time.monotonic() < until
+        time.sleep(0.02)
     assert frames_in(path) == list(range(8))
 
 

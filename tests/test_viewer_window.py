@@ -15,30 +15,11 @@ from pathlib import Path
 import pytest
 
 from tests.command import command
-from tests.ports import free_port
+from tests.ports import free_port, listening
+from tests.viewer import viewers
 from viz.viewer import environment, open_viewer
 
 NO_SCREEN = ":4077"
-
-
-def viewers(port: int) -> list[int]:
-    """Process ids of viewers at a port."""
-    needle = f"--port\0{port}\0".encode()
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if needle in (folder / "cmdline").read_bytes() + b"\0":
-                found.append(int(folder.name))
-        except OSError:  # it ended meanwhile
-            continue
-    return found
-
-
-def listening(port: int) -> set[str]:
-    """The addresses, as the kernel writes them, on which something listens at a port."""
-    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
-    local = [row[1].split(":") for row in rows if row[3] == "0A"]
-    return {address for address, number in local if int(number, 16) == port}
 
 
 def test_a_dead_display_opens_nothing(monkeypatch):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from airline.image import Gray
 from airline.runtimes.fold import Codes, fold, folded_size, unfold
+from airline.runtimes.openvino_core import core
 from airline.runtimes.openvino_graph import build
 from airline.runtimes.processor import has_amx, has_bf16, has_vnni
 from airline.runtimes.sizes import Sizes
@@ -52,7 +53,7 @@ class OpenVinoNetwork:
 
     def __init__(self, weights: str | Path, threads: int | None = None) -> None:
         self._spec, self._weights = load_weights(weights)
-        self._core = ov.Core()
+        self._core = core()
         self._ranges = load_ranges(weights)
         self._precision = self._fastest()
         self._pairs = has_amx() and self._spec.base < AMX_DEPTH
