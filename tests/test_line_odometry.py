@@ -18,7 +18,7 @@ from line_odometry.clips import OURS, TRUE_LINES, built_in, merged
 from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
 from line_odometry.mapping import map_lines
 from line_odometry.odometry import LineOdometry
-from line_odometry.pose import corners, pose_from_lines, pose_of_second
+from line_odometry.pose import corners, pose_from_lines, poses_of_second
 from line_odometry.score import TrueLines, align, mapped
 from line_odometry.triangulation import triangulate
 from line_odometry.views import View, gather
@@ -160,9 +160,9 @@ def test_two_views_tell_how_the_camera_moved():
     sequence = Sequence(seed=5, frames=21, size=(320, 240))
     views, poses = views_of_truth(sequence)
     focal = sequence.K[0, 0]
-    assert pose_of_second(views[0], views[0], focal) is None, "no motion, no parallax"
-    second = pose_of_second(views[0], views[20], focal)
-    assert second is not None
+    assert poses_of_second(views[0], views[0], focal) == [], "no motion, no parallax"
+    second, *others = poses_of_second(views[0], views[20], focal)
+    assert others
     turn = poses[0, :, :3].T @ poses[20, :, :3]
     direction = poses[0, :, :3].T @ (poses[20, :, 3] - poses[0, :, 3])
     assert np.rad2deg(np.linalg.norm(Rotation.from_matrix(turn.T @ second[:, :3]).as_rotvec())) < 0.3
@@ -179,6 +179,23 @@ def test_true_lines_give_the_true_path():
     assert path.ate_percent < 0.01
     assert path.rotation_deg < 0.01
     assert odometry.lost == []
+
+
+def test_lines_tell_which_start_is_right(monkeypatch):
+    """Few corners may agree on a pose that is far from true; the lines of the views in between do not."""
+    sequence = Sequence(motion="fast", seed=2, frames=20, size=(320, 240))
+    views, poses = views_of_truth(sequence)
+
+    def misled(first, second, focal):
+        right = poses_of_second(first, second, focal)
+        turn = Rotation.from_euler("y", 15, degrees=True).as_matrix()
+        return [np.column_stack([turn @ pose[:, :3], pose[:, [3]]]) for pose in right[:1]] + right
+
+    monkeypatch.setattr("line_odometry.odometry.poses_of_second", misled)
+    odometry = LineOdometry(sequence.K[0, 0])
+    for view in views:
+        odometry.add(view)
+    assert align(odometry.trajectory(), poses).rotation_deg < 0.01
 
 
 def test_a_view_without_lines_is_bridged():

@@ -24,7 +24,7 @@ class EdgeNetwork(Protocol):
 
     @property
     def name(self) -> str:
-        """The runtime and its precision, such as "openvino bf16"."""
+        """The runtime and its precision, such as "openvino int8"."""
         ...
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
@@ -37,7 +37,7 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
-        runtime: "openvino" (bfloat16 or 8-bit numbers where the processor is made for them), "torch" (float32 on the
+        runtime: "openvino" (8-bit numbers or bfloat16 where the processor is made for them), "torch" (float32 on the
             CPU), "cuda" (half precision), or "auto": CUDA where there is such a device, else OpenVINO where it is
             installed, else torch.
         threads: how many of the processor's cores OpenVINO works on; all by default.

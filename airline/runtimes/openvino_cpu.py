@@ -20,13 +20,8 @@ from airline.runtimes.sizes import Sizes
 from airline.team import Team, cores
 from airline.weights import load_ranges, load_weights
 
-# of input and output, in OpenVINO and as numpy holds their bits; "int8" is that of the convolutions but the first
-NUMBERS: dict[str, tuple[ov.Type, type[np.uint16] | type[np.uint32]]] = {
-    "bf16": (ov.Type.bf16, np.uint16),
-    "f32": (ov.Type.f32, np.uint32),
-    "int8": (ov.Type.f32, np.uint32),
-}
-AMX_DEPTH = 32  # channels that a matrix unit multiplies and adds at once
+CODES: dict[ov.Type, type[np.uint16] | type[np.uint32]] = {ov.Type.bf16: np.uint16, ov.Type.f32: np.uint32}
+FEW_CHANNELS = {"bf16": 32, "int8": 16, "f32": 0}  # fewer do not fill matrix units, which take no f32
 
 
 @dataclass(frozen=True)
@@ -55,8 +50,9 @@ class OpenVinoNetwork:
         self._spec, self._weights = load_weights(weights)
         self._core = core()
         self._ranges = load_ranges(weights)
-        self._precision = self._fastest()
-        self._pairs = has_amx() and self._spec.base < AMX_DEPTH
+        self._numbers = self._fastest()
+        narrow = has_vnni() and bool(self._ranges)
+        self._precision = "int8" if narrow else self._numbers.get_type_name()
         self._threads = threads
         self._team = Team(cores() if threads is None else threads)
         self._sizes = Sizes(self._sized)
@@ -74,20 +70,22 @@ class OpenVinoNetwork:
             sized.request.infer()
             return unfold(sized.logits, self._spec.unshuffle, height, width, self._team)
 
-    def _fastest(self) -> str:
-        if has_vnni() and not has_amx() and self._ranges:
-            return "int8"
+    def _fastest(self) -> ov.Type:
+        """Of what does not work in 8-bit numbers."""
         offered = "BF16" in self._core.get_property("CPU", "OPTIMIZATION_CAPABILITIES")
-        return "bf16" if offered and has_bf16() else "f32"
+        return ov.Type.bf16 if offered and has_bf16() else ov.Type.f32
 
     def _sized(self, rows: int, columns: int) -> _Sized:
-        numbers, codes = NUMBERS[self._precision]
         ranges = self._ranges if self._precision == "int8" else None
-        model = build(self._spec, self._weights, rows, columns, numbers, self._pairs, ranges)
-        options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": numbers}
+        model = build(self._spec, self._weights, rows, columns, self._numbers, self._in_pairs(), ranges)
+        options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": self._numbers}
         if self._threads is not None:
             options["INFERENCE_NUM_THREADS"] = self._threads
         request = self._core.compile_model(model, "CPU", options).create_infer_request()
+        codes = CODES[self._numbers]
         return _Sized(
             request, *(tensor.data[0].view(codes) for tensor in request.input_tensors + request.output_tensors)
         )
+
+    def _in_pairs(self) -> bool:
+        return has_amx() and self._spec.base < FEW_CHANNELS[self._precision]

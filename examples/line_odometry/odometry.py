@@ -19,7 +19,7 @@ import numpy as np
 
 from line_odometry.adjust import adjust
 from line_odometry.geometry import Array
-from line_odometry.pose import pose_from_lines, pose_of_second
+from line_odometry.pose import pose_from_lines, poses_of_second
 from line_odometry.triangulation import Triangulated, judge, triangulate
 from line_odometry.views import Ids, View, gather
 
@@ -32,7 +32,7 @@ MAX_RMS = 1.0  # px
 USABLE = 0.2  # spread (see `Triangulated`) of lines that are adjusted
 KNOWN = 0.02  # spread of lines that poses are found by
 LEAST_KNOWN = 30  # lines, in the current view, before which the best of the others help out
-STEPS = 3  # of the optimiser per keyframe
+STEPS = 8  # of the optimiser per keyframe
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,23 @@ class Map:
         order = np.argsort(np.concatenate([self.ids[rest], ids]))
         pairs = ((self.ids, ids), (self.lines, found.lines), (self.spread, spread))
         return Map(*(np.concatenate([old[rest], new])[order] for old, new in pairs))
+
+
+@dataclass(frozen=True)
+class _Start:
+    """What the odometry may begin with.
+
+    Attributes:
+        known: how many lines of the newest view the map knows well.
+        cost: how badly all lines fit, px.
+        map, keyframes, poses: see `LineOdometry`.
+    """
+
+    known: int
+    cost: float
+    map: Map
+    keyframes: list[int]
+    poses: list[Array]
 
 
 class LineOdometry:
@@ -98,28 +115,44 @@ class LineOdometry:
         return np.array(self._poses).reshape(-1, 3, 4)
 
     def _start(self, index: int) -> None:
-        """Make the first map if the first view and this one tell enough."""
-        second = pose_of_second(self._views[0], self._views[index], self._focal)
-        if second is None:
+        """Make the first map if the first view and this one tell enough: the one that all lines agree with best."""
+        candidates = poses_of_second(self._views[0], self._views[index], self._focal)
+        best: _Start | None = None
+        for pose in candidates:
+            start = self._start_from(pose, index)
+            if start is not None and (best is None or start.cost < best.cost):
+                best = start
+            if best is None or best.known < LEAST_KNOWN:  # too early
+                self.map = Map()
+                return
+        if best is None:
             return
+        self.map = best.map
+        self._keyframes = best.keyframes
+        self._keyframe_of = [max(frame for frame in best.keyframes if frame <= k) for k in range(index + 1)]
+        self._poses = best.poses
+
+    def _start_from(self, second: Array, index: int) -> _Start | None:
+        """The map that begins with the first view and one more at a given pose."""
         pair = np.stack([np.eye(3, 4), second])
         seen = gather([self._views[0], self._views[index]], self._focal, least=2)
         self.map = Map().updated(seen.ids, triangulate(seen, pair))
         frames = [*range(0, index, min(KEYFRAME_EVERY, max(1, index // 4))), index]
         between = [self._locate(self._views[frame]) for frame in frames[1:-1]]
-        poses = [pose for pose in (pair[0], *between, pair[1]) if pose is not None]
-        if len(poses) == len(frames):
-            poses = self._adjusted(frames, np.array(poses), free=len(frames) - 1, steps=4 * STEPS)
-        _, spread = self.map.find(self._views[index].ids)
-        located = [self._locate(view) for view in self._views]
-        if len(poses) < len(frames) or (spread < KNOWN).sum() < LEAST_KNOWN or any(pose is None for pose in located):
-            self.map = Map()
-            return
-        self._keyframes = frames
-        self._keyframe_of = [max(frame for frame in frames if frame <= k) for k in range(len(located))]
-        self._poses = [pose for pose in located if pose is not None]
-        for frame, pose in zip(frames, poses, strict=True):
-            self._poses[frame] = pose
+        keyposes = [pose for pose in (pair[0], *between, pair[1]) if pose is not None]
+        if len(keyposes) < len(frames):
+            return None
+        keyposes = list(self._adjusted(frames, np.array(keyposes), free=len(frames) - 1, steps=2 * STEPS))
+        poses = [pose for view in self._views if (pose := self._locate(view)) is not None]
+        if len(poses) < len(self._views):
+            return None
+        for frame, pose in zip(frames, keyposes, strict=True):
+            poses[frame] = pose
+        seen = gather(self._views, self._focal, LEAST_VIEWS)
+        lines = triangulate(seen, np.array(poses), self.map.find(seen.ids)[0])
+        cost = np.where(lines.ahead, np.minimum(lines.rms, MAX_RMS), MAX_RMS).sum()
+        known = int((self.map.find(self._views[index].ids)[1] < KNOWN).sum())
+        return _Start(known, float(cost), self.map, frames, poses)
 
     def _follow(self, index: int) -> None:
         """The pose of a view from the map; a keyframe of it if it is time for one."""

@@ -17,6 +17,8 @@ MAX_EPIPOLAR = 1.0  # px
 LEAST_CORNERS = 12
 FEW_CORNERS = 24
 LEAST_PARALLAX = 3.0  # degrees
+PARTS = 8  # of the corners, each of which may tell another pose
+PART = 0.7  # of the corners
 _IDEAL = {"model": "PINHOLE", "width": 1, "height": 1, "params": [1.0, 1.0, 0.0, 0.0]}  # points on the plane z = 1
 
 
@@ -39,19 +41,32 @@ def pose_from_lines(ends: Array, lines: Array, focal: float) -> Array | None:
     return _world_from_camera(pose) if report["num_inliers"] >= LEAST_LINES else None
 
 
-def pose_of_second(first: View, second: View, focal: float) -> Array | None:
-    """(3, 4) the second view's pose in the first's axes, its distance 1; None where the views do not tell.
+def poses_of_second(first: View, second: View, focal: float) -> list[Array]:
+    """(3, 4) poses that the second view may have in the first's axes, at distance 1; none where the views do not tell.
 
     Lines alone say nothing of two views: any two poses explain them. But where lines meet in both views there is, most
     often, a corner in space, and corners are points. The farther apart the two centres the better, yet corners get lost
     on the way: the views tell once half of the corners are seen at angles that differ by `LEAST_PARALLAX`, or when few
-    are left.
+    are left. A wrong pose may explain few corners as well as the right one, so others are found from parts of them: the
+    lines of the views in between will tell which is right.
     """
     here, there = corners(first, focal), corners(second, focal)
     both = sorted(here.keys() & there.keys())
-    if len(both) < LEAST_CORNERS:
+    points = np.array([[corner[pair] for pair in both] for corner in (here, there)]).reshape(2, -1, 2)
+    found = _relative_pose(points, focal, least_parallax=LEAST_PARALLAX if len(both) > FEW_CORNERS else 0.0)
+    if found is None:
+        return []
+    rng = np.random.default_rng(0)
+    size = max(LEAST_CORNERS, int(PART * len(both)))
+    parts = [points[:, rng.permutation(len(both))[:size]] for _ in range(PARTS)]
+    others = [_relative_pose(part, focal) for part in parts]
+    return [found, *(pose for pose in others if pose is not None)]
+
+
+def _relative_pose(points: Array, focal: float, least_parallax: float = 0.0) -> Array | None:
+    """The second pose from (2, N, 2) points, None from too few that agree or are seen from too near together."""
+    if points.shape[1] < LEAST_CORNERS:
         return None
-    points = [np.array([corner[pair] for pair in both]) for corner in (here, there)]
     options = {"max_epipolar_error": MAX_EPIPOLAR / focal, "min_iterations": 500, "seed": 0}
     pose, report = poselib.estimate_relative_pose(*points, _IDEAL, _IDEAL, options, {})
     found = _world_from_camera(pose)
@@ -60,7 +75,7 @@ def pose_of_second(first: View, second: View, focal: float) -> Array | None:
         return None
     rays = [r / np.linalg.norm(r, axis=1, keepdims=True) for r in (rays[0], rays[1] @ found[:, :3].T)]
     parallax = np.rad2deg(np.median(np.arccos(np.clip((rays[0] * rays[1]).sum(axis=1), -1, 1))))
-    if parallax < LEAST_PARALLAX and len(both) > FEW_CORNERS:
+    if parallax < least_parallax:
         return None
     found[:, 3] /= np.linalg.norm(found[:, 3])
     return found
