@@ -19,6 +19,7 @@ from airline.edges import UNetEdges
 from airline.errors import ConfigError, WeightsError
 from airline.runtimes import open_network
 from airline.runtimes.openvino_cpu import OpenVinoNetwork
+from airline.runtimes.processor import has_bf16, has_vnni
 from airline.runtimes.torch_cuda import CudaNetwork
 from airline.runtimes.torch_eager import TorchNetwork
 from airline.spec import SPECS, UNetSpec
@@ -52,6 +53,8 @@ def assert_close(ours: np.ndarray, theirs: np.ndarray, precision: str) -> None:
 @pytest.mark.parametrize(("precision", "numbers"), PRECISIONS)
 @pytest.mark.parametrize("weights", ["default", "fast"])
 def test_openvino_agrees_with_torch(scene: np.ndarray, weights: str, precision: str, numbers: str) -> None:
+    if (numbers == "bf16" and not has_bf16()) or (precision == "int8" and not has_vnni()):
+        pytest.skip("needs a processor that multiplies such numbers")
     ours, theirs = in_precision(weights, precision, numbers), TorchNetwork(weights)
     low_contrast = (195 + scene / 25).astype(np.uint8)
     dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
@@ -136,6 +139,7 @@ def test_results_are_the_callers_own_and_threads_do_not_mix(scene: np.ndarray) -
 SIGNALS_AFTER_NETWORKS = """
 import faulthandler, gc, signal, threading
 from airline.runtimes.openvino_cpu import OpenVinoNetwork
+from airline.runtimes.processor import has_bf16, has_vnni
 
 def drop_the_first():
     del networks[0]
