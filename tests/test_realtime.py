@@ -57,13 +57,13 @@ def test_frames_come_when_they_are_due(prepare_s: float) -> None:
     found = arrivals_ms(RealtimeSource(Recording(STAMPS_MS)), prepare_s)
     late = np.subtract(found, np.subtract(STAMPS_MS[1:], STAMPS_MS[0]))
     assert late.min() > -1, "never early"
-    assert np.median(late) < 100  # on a busy machine too
+    assert np.median(late) < 20
 
 
 def test_a_source_slower_than_its_stamps_is_read_ahead() -> None:
     slow = Recording(STAMPS_MS, cost_s=0.15)
     assert arrivals_ms(RealtimeSource(Recording(STAMPS_MS, cost_s=0.15)))[-1] > 550
-    assert arrivals_ms(RealtimeSource(slow, ahead=True))[-1] < 550
+    assert arrivals_ms(RealtimeSource(slow, ahead=True))[-1] < 500
 
 
 def test_it_is_a_live_source_that_says_what_the_recording_says() -> None:

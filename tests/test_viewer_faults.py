@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -93,6 +93,16 @@ def record(path: Path, **options: object) -> None:
 
 def frames_in(path: Path) -> list[int]:
     return recorded(path)["/camera/tracks"]["frame"]
+
+
+def ends(holds: Callable[[], object], within_s: float = 10) -> bool:
+    """Whether a state of a viewer is over soon: a process that was killed takes a moment to go."""
+    until = time.monotonic() + within_s
+    while holds():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def test_nobody_there_costs_one_warning(tmp_path, caplog):
@@ -209,10 +219,7 @@ def test_web_viewer_is_for_this_machine_alone():
         assert started
     finally:
         web.close()
-    until = time.monotonic() + 10  # a process that was killed takes a moment to go
-    while started & set(viewers(ports[1])):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    assert ends(lambda: started & set(viewers(ports[1])))
 
 
 @needs_rerun
@@ -232,10 +239,7 @@ def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
         _, err = run.communicate(timeout=20)
     assert run.returncode == 0
     assert err == ""
-    until = time.monotonic() + 10  # as above
-    while listening(port):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    assert ends(lambda: listening(port))
     assert frames_in(path) == list(range(8))
 
 

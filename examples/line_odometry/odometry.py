@@ -73,7 +73,9 @@ class _Start:
     Attributes:
         known: how many lines of the newest view the map knows well.
         cost: how badly all lines fit, px.
-        map, keyframes, poses: see `LineOdometry`.
+        map: the first lines.
+        keyframes: views whose poses were adjusted.
+        poses: of all views so far.
     """
 
     known: int
