@@ -8,7 +8,7 @@ import msgspec
 
 from airline.errors import ConfigError
 
-Preset = Literal["default", "fast", "paper"]
+Preset = Literal["default", "fast", "accurate", "paper"]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Pixels = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 
@@ -80,16 +80,16 @@ class DetectorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 def preset(name: str) -> DetectorConfig:
-    """Settings by name: "default", "fast" for its smaller network, or "paper" for the paper's scheme, repaired as
-    docs/detector.md says.
+    """Settings by name: "default", "fast" and "accurate" for a smaller and a larger network, or "paper" for the paper's
+    scheme, repaired as docs/detector.md says.
 
     Raises:
         ConfigError: no such preset.
     """
     if name == "default":
         return DetectorConfig()
-    if name == "fast":
-        return DetectorConfig(edges=EdgeConfig(weights="fast"))
+    if name in ("fast", "accurate"):
+        return DetectorConfig(edges=EdgeConfig(weights=name))
     if name == "paper":
         return DetectorConfig(
             edges=EdgeConfig(thin=False, threshold=0.3, seed_threshold=0.3),
@@ -98,4 +98,4 @@ def preset(name: str) -> DetectorConfig:
             fit=FitConfig(kind="paper"),
             refine=RefineConfig(max_shift=0),
         )
-    raise ConfigError(f"no preset named '{name}': use default, fast or paper")
+    raise ConfigError(f"no preset named '{name}': use default, fast, accurate or paper")

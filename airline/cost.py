@@ -194,7 +194,7 @@ def build_parser() -> Parser:
     parser = Parser(prog="python -m airline.cost", description="Time over image size and number of lines; the floor.")
     parser.add_argument("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="picture to write")
-    parser.add_argument("--preset", choices=["default", "fast"], default="default")
+    parser.add_argument("--preset", choices=["default", "fast", "accurate"], default="default")
     parser.add_argument("--size", nargs="+", default=SIZES, metavar="WxH", help="sizes (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="over all images (default: %(default)s)")
     return parser

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -59,7 +60,7 @@ class AirLine:
         """Build the detector.
 
         Args:
-            preset: "default", "fast" or "paper".
+            preset: "default", "fast", "accurate" or "paper".
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
             runtime: what the U-Net runs in: "auto", "openvino", "torch" or "cuda"; see `airline.runtimes`.
@@ -72,7 +73,8 @@ class AirLine:
         """
         settings = settings_of(preset) if config is None else config
         self.edges = edges if edges is not None else _edges(settings, runtime, threads)
-        team = Team(cores() if threads is None else threads)
+        self._threads = cores() if threads is None else threads
+        team = Team(self._threads)
         self.pixels, self.orientation, self.grower, self.fitter = _back_end(settings, self.edges, team)
         self.refiner = ImageRefiner(settings.refine.max_shift, team)
 
@@ -90,8 +92,8 @@ class AirLine:
     def detect_batch(self, images: Iterable[ArrayLike]) -> Iterator[LineSet]:
         """Line segments of many images, in order, for work that is not live.
 
-        The edge detector is an image ahead of the other stages, in a thread of its own, so that the two overlap. Images
-        are taken as they are needed; they may differ in size.
+        The edge detector takes one image after the other in a thread of its own; the other stages work on one image for
+        every two cores at once. Images are taken as they are needed; they may differ in size.
 
         Args:
             images: each as for calling.
@@ -108,15 +110,19 @@ class AirLine:
             gray, edges = future.result()
             return self.trace_edges(edges, gray).lines
 
-        with ThreadPoolExecutor(1, "edges") as ahead:
-            waiting = None
-            for image in images:
-                following = ahead.submit(edges_of, image)
-                if waiting is not None:
-                    yield lines_of(waiting)
-                waiting = following
-            if waiting is not None:
-                yield lines_of(waiting)
+        at_once = max(1, self._threads // 2)
+        under_way: deque[Future[LineSet]] = deque()
+        with ThreadPoolExecutor(1, "edges") as ahead, ThreadPoolExecutor(at_once, "lines") as behind:
+            try:
+                for image in images:
+                    under_way.append(behind.submit(lines_of, ahead.submit(edges_of, image)))
+                    if len(under_way) > at_once:
+                        yield under_way.popleft().result()
+                while under_way:
+                    yield under_way.popleft().result()
+            finally:
+                behind.shutdown(wait=False, cancel_futures=True)
+                ahead.shutdown(wait=False, cancel_futures=True)
 
     def trace(self, image: ArrayLike) -> Trace:
         """Line segments of an image with every intermediate result; same arguments and errors as calling."""

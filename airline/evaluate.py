@@ -39,7 +39,7 @@ def build_parser() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_dataset(parser)
-    parser.add_argument("--preset", default="default", help="default, fast or paper (default: %(default)s)")
+    parser.add_argument("--preset", default="default", help="default, fast, accurate or paper (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
     runtimes = ["auto", "openvino", "torch", "cuda"]
     parser.add_argument("--runtime", choices=runtimes, default="auto", help="where the edge network runs")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from functools import cache
-from queue import SimpleQueue
+from itertools import pairwise
+from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
 
@@ -33,11 +34,17 @@ class Team:
         """
         parts = max(1, min(self.threads, count // least))
         bounds = [count * part // parts for part in range(parts + 1)]
+        if parts == 1:
+            return [work(0, count)]
+        todo: SimpleQueue[tuple[int, int]] = SimpleQueue()
+        for start, end in pairwise(bounds):
+            todo.put((start, end))
         answers: SimpleQueue[tuple[int, Any, BaseException | None]] = SimpleQueue()
-        for part in range(1, parts):
-            _helpers().put((work, bounds[part], bounds[part + 1], answers))
-        done = {0: work(0, bounds[1])}
         for _ in range(1, parts):
+            _helpers().put((work, todo, answers))
+        _work(work, todo, answers)
+        done = {}
+        for _ in range(parts):
             start, answer, error = answers.get()
             if error is not None:
                 raise error
@@ -61,16 +68,24 @@ def _helpers() -> SimpleQueue[tuple[Any, ...]]:
 
 def _help(calls: SimpleQueue[tuple[Any, ...]]) -> None:
     while True:
-        _answer(*calls.get())
+        _work(*calls.get())
 
 
-def _answer(
-    work: Callable[[int, int], Any], start: int, end: int, answers: SimpleQueue[tuple[int, Any, BaseException | None]]
+def _work(
+    work: Callable[[int, int], Any],
+    todo: SimpleQueue[tuple[int, int]],
+    answers: SimpleQueue[tuple[int, Any, BaseException | None]],
 ) -> None:
-    try:
-        answers.put((start, work(start, end), None))
-    except BaseException as error:
-        answers.put((start, None, error))
+    """Do parts until none is left: the caller does those that no helper has time for."""
+    while True:
+        try:
+            start, end = todo.get_nowait()
+        except Empty:
+            return
+        try:
+            answers.put((start, work(start, end), None))
+        except BaseException as error:
+            answers.put((start, None, error))
 
 
 ALONE = Team(1)

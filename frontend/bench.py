@@ -85,7 +85,7 @@ def build_parser() -> Parser:
     )
     parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
     parser.add_argument("--size", nargs="+", default=SIZES, metavar="WxH", help=f"sizes (default: {' '.join(SIZES)})")
-    parser.add_argument("--preset", choices=["default", "fast", "paper"], default="default")
+    parser.add_argument("--preset", choices=["default", "fast", "accurate", "paper"], default="default")
     parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
     parser.add_argument("--frames", type=int, default=150, metavar="N", help="per run (default: %(default)s)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")

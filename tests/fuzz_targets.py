@@ -97,7 +97,7 @@ def _weights() -> bytes:
     """Of a tiny network."""
     from safetensors.numpy import save
 
-    spec = UNetSpec(base=1, levels=1)
+    spec = UNetSpec((1,))
     metadata = {**spec.to_metadata(), "ranges": '{"head": [0, 1]}'}
     return save({name: np.zeros(shape, np.float32) for name, shape in spec.shapes().items()}, metadata)
 

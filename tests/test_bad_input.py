@@ -143,7 +143,7 @@ def another_shape(path: Path) -> None:
     from airline.spec import UNetSpec
     from airline.weights import bundled_path
 
-    save_file(load_file(bundled_path("default")), path, metadata=UNetSpec(base=24).to_metadata())
+    save_file(load_file(bundled_path("default")), path, metadata=UNetSpec((24, 48, 64)).to_metadata())
 
 
 def nothing(path: Path) -> None:

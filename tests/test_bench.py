@@ -34,8 +34,10 @@ def test_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     assert max(figures["stage_ms"].values()) < figures["total_ms"] <= figures["total_p95_ms"]
     assert figures["ratio_lsd"] == pytest.approx(figures["lsd_ms"] / figures["total_ms"], rel=0.02)
     printed = capsys.readouterr().out
-    assert [line.split()[0] for line in printed.splitlines()[2:-1]] == [*STAGES, "total", "LSD"]
+    assert [line.split()[0] for line in printed.splitlines()[2:-2]] == [*STAGES, "total", "LSD"]
     assert f"LSD takes {figures['ratio_lsd']:.2f} times as long" in printed
+    assert figures["batch_fps"] > 0
+    assert f"detect_batch): {figures['batch_fps']:.0f} images/s" in printed
 
 
 @pytest.mark.parametrize(

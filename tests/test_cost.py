@@ -13,7 +13,7 @@ from airline.spec import SPECS
 from airline.unet import UNet
 
 
-@pytest.mark.parametrize("name", ["default", "fast", "paper"])
+@pytest.mark.parametrize("name", ["default", "fast", "accurate", "paper"])
 def test_multiplications_are_those_of_the_convolutions_that_run(name: str) -> None:
     spec = SPECS[name]
     net = UNet(spec)

@@ -50,14 +50,17 @@ def test_finds_the_sides_of_a_rectangle(airline):
         assert near(lines.segments, start, end, 4.0), (start, end)
 
 
-def test_batch_gives_what_single_images_give(airline):
-    images = [room(), room(200, 150), cv2.merge([room()] * 3), room().astype(np.uint16) * 200]
-    for found, image in zip(airline.detect_batch(iter(images)), images, strict=True):
-        np.testing.assert_array_equal(found.segments, airline(image).segments)
+@pytest.mark.parametrize("threads", [1, 2, 8])
+def test_batch_gives_what_single_images_give(airline, threads):
+    images = [room(), room(200, 150), cv2.merge([room()] * 3), room().astype(np.uint16) * 200] * 3
+    found = AirLine(threads=threads, edges=airline.edges).detect_batch(iter(images))
+    for lines, image in zip(found, images, strict=True):
+        np.testing.assert_array_equal(lines.segments, airline(image).segments)
     assert list(airline.detect_batch([])) == []
 
 
-def test_batch_takes_images_as_they_are_needed(airline):
+@pytest.mark.parametrize(("threads", "at_once"), [(1, 1), (2, 1), (8, 4)])
+def test_batch_takes_images_as_they_are_needed(airline, threads, at_once):
     taken = []
 
     def endless():
@@ -65,10 +68,10 @@ def test_batch_takes_images_as_they_are_needed(airline):
             taken.append(1)
             yield room(80, 60)
 
-    results = airline.detect_batch(endless())
+    results = AirLine(threads=threads, edges=airline.edges).detect_batch(endless())
     for _ in range(3):
         next(results)
-    assert len(taken) <= 4
+    assert len(taken) == 3 + at_once
     results.close()
 
 
@@ -93,7 +96,7 @@ def test_result_is_well_formed(airline):
     assert (lines.lengths >= DetectorConfig().fit.min_length - 1e-3).all()
 
 
-@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+@pytest.mark.parametrize("preset", ["default", "fast", "accurate", "paper"])
 def test_trace_agrees_with_itself(preset):
     detector = AirLine(preset)
     trace = detector.trace(room())

@@ -15,8 +15,7 @@ from airline.unet import UNet, normalise
 
 SPECS = st.builds(
     UNetSpec,
-    base=st.just(4),
-    levels=st.integers(1, 4),
+    widths=st.integers(1, 4).map(lambda levels: (4,) * levels),
     unshuffle=st.sampled_from([1, 2, 4]),
     smoothed=st.integers(0, 3),
 )
@@ -54,7 +53,7 @@ def test_fold(spec: UNetSpec, height: int, width: int, depth: type, seed: int) -
 def test_a_team_folds_and_unfolds_like_one_thread(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts that are smaller than the smoothed copies' reach, too."""
     monkeypatch.setattr("airline.runtimes.fold.LEAST_ROWS", 1)
-    spec = UNetSpec(levels=2, unshuffle=side, smoothed=3)
+    spec = UNetSpec((16, 32), unshuffle=side, smoothed=3)
     gray = np.random.default_rng(0).integers(0, 255, (11 * side, 40), np.uint8)
     rows, columns = folded_size(spec, *gray.shape)
     alone, shared = (np.zeros((rows, columns, side * side + 3), np.uint16) for _ in range(2))

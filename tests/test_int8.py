@@ -43,7 +43,7 @@ def test_bundled_weights_have_ranges(name: str) -> None:
 
 def test_ranges_hold_all_numbers_but_a_few(scene: np.ndarray) -> None:
     torch.manual_seed(3)
-    net = UNet(UNetSpec(base=4, levels=3, convs=2, unshuffle=1, smoothed=0)).eval()
+    net = UNet(UNetSpec((4, 8, 16), convs=2, unshuffle=1, smoothed=0)).eval()
     images = [scene, np.ascontiguousarray(scene[::2, ::2])]
     ranges = measure_ranges(net, images)
     assert ranges.keys() == convolutions(net.spec) - {"down.0.0"}
@@ -59,7 +59,7 @@ def test_ranges_hold_all_numbers_but_a_few(scene: np.ndarray) -> None:
 
 
 def test_ranges_are_kept_in_the_file(tmp_path: Path) -> None:
-    net = UNet(UNetSpec(base=4, levels=2))
+    net = UNet(UNetSpec((4, 8)))
     ranges = {name: (-1.25, 2.5) for name in convolutions(net.spec) - {"down.0.0"}}
     save_unet(net, tmp_path / "with.safetensors", ranges)
     save_unet(net, tmp_path / "without.safetensors")
@@ -76,7 +76,7 @@ def test_ranges_are_kept_in_the_file(tmp_path: Path) -> None:
     ],
 )
 def test_ranges_that_are_none_are_refused(tmp_path: Path, ranges: str) -> None:
-    path, spec = tmp_path / "net.safetensors", UNetSpec(base=4, levels=2)
+    path, spec = tmp_path / "net.safetensors", UNetSpec((4, 8))
     save_file(UNet(spec).state_dict(), path, metadata={**spec.to_metadata(), "ranges": ranges})
     with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
         OpenVinoNetwork(path)
@@ -85,7 +85,7 @@ def test_ranges_that_are_none_are_refused(tmp_path: Path, ranges: str) -> None:
 def test_maps_of_zeros_have_ranges_that_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What little training may leave: a layer that never answers."""
     torch.manual_seed(4)
-    net = UNet(UNetSpec(base=4, levels=2)).eval()
+    net = UNet(UNetSpec((4, 8))).eval()
     with torch.no_grad():
         net.down[0][0].bias.fill_(-1000)
         net.up[0][0].bias.fill_(-1000)
@@ -101,7 +101,7 @@ def test_maps_of_zeros_have_ranges_that_work(tmp_path: Path, monkeypatch: pytest
 
 
 def test_where_it_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    save_unet(UNet(UNetSpec(base=4, levels=2)), tmp_path / "without.safetensors")
+    save_unet(UNet(UNetSpec((4, 8))), tmp_path / "without.safetensors")
     for bf16, vnni, weights, expected in (
         (False, True, "fast", {"int8"}),
         (True, True, "fast", {"int8"}),

@@ -51,7 +51,7 @@ def assert_close(ours: np.ndarray, theirs: np.ndarray, precision: str) -> None:
 
 
 @pytest.mark.parametrize(("precision", "numbers"), PRECISIONS)
-@pytest.mark.parametrize("weights", ["default", "fast"])
+@pytest.mark.parametrize("weights", ["default", "fast", "accurate"])
 def test_openvino_agrees_with_torch(scene: np.ndarray, weights: str, precision: str, numbers: str) -> None:
     if (numbers == "bf16" and not has_bf16()) or (precision == "int8" and not has_vnni()):
         pytest.skip("needs a processor that multiplies such numbers")
@@ -62,13 +62,19 @@ def test_openvino_agrees_with_torch(scene: np.ndarray, weights: str, precision: 
         assert_close(ours(image), theirs(image), precision)
 
 
-@pytest.mark.parametrize("weights", ["default", "fast"])
+@pytest.mark.parametrize("weights", ["default", "fast", "accurate"])
 def test_half_precision_of_torch_agrees(scene: np.ndarray, weights: str) -> None:
     """All that runs on a GPU, but for the graph."""
     ours, theirs = CudaNetwork(weights, "cpu", lambda network, image: lambda: network(image)), TorchNetwork(weights)
     dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
     for image in (scene, scene[:240, 5:219], scene[:, ::-1], dark16, scene):
         assert_close(ours(image), theirs(image), "bf16")
+
+
+def test_half_precision_leaves_the_given_network_alone() -> None:
+    net = UNet(SPECS["fast"])
+    CudaNetwork(net, "cpu", lambda network, image: lambda: network(image))
+    assert {parameter.dtype for parameter in net.parameters()} == {torch.float32}
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -90,7 +96,7 @@ EXACT, TORCH = in_precision("fast"), TorchNetwork("fast")
 
 
 @pytest.mark.parametrize(
-    "spec", [UNetSpec(base=8, levels=3, convs=2), UNetSpec(base=4, levels=1, unshuffle=1, smoothed=3), SPECS["default"]]
+    "spec", [UNetSpec((8, 16, 32), convs=2), UNetSpec((4,), unshuffle=1, smoothed=3), SPECS["default"]]
 )
 def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec) -> None:
     torch.manual_seed(1)
@@ -103,7 +109,7 @@ def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec) -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [UNetSpec(base=6, levels=3, convs=2, smoothed=1), UNetSpec(base=4, levels=1), SPECS["default"]]
+    "spec", [UNetSpec((6, 12, 24), convs=2, smoothed=1), UNetSpec((4,)), SPECS["default"]]
 )
 def test_pixels_convolved_in_pairs_give_the_same(tmp_path: Path, spec: UNetSpec) -> None:
     torch.manual_seed(2)

@@ -23,7 +23,7 @@ from airline.unet import UNet
 from airline.weights import load_unet, save_unet
 from tests.pictures import labelled, picture
 
-SMALL = UNetSpec(base=8, levels=3)
+SMALL = UNetSpec((8, 16, 32))
 SETTINGS = {"--steps": 6, "--minutes": None, "--seed": 0}
 WEIGH = PixelWeights()
 CPU = torch.device("cpu")
@@ -129,7 +129,7 @@ def test_a_checkpoint_of_other_settings_is_refused(samples, tmp_path):
             checkpoint.restore(state, {**SETTINGS, name: value}, path)
         assert same(state, fresh()), "a refused checkpoint leaves no trace"
     with pytest.raises(InputError, match="no checkpoint of this training"):
-        checkpoint.restore(fresh(spec=UNetSpec(base=8, levels=2)), SETTINGS, path)
+        checkpoint.restore(fresh(spec=UNetSpec((8, 16))), SETTINGS, path)
 
 
 def test_only_a_finished_training_is_extended(samples, tmp_path, caplog):
@@ -221,7 +221,7 @@ def test_the_network_is_measured_as_it_will_be_used(tmp_path):
 
 def test_named_networks_have_the_sizes_they_are_known_by():
     thousands = {name: sum(p.numel() for p in UNet(spec).parameters()) / 1e3 for name, spec in SPECS.items()}
-    assert thousands == pytest.approx({"default": 194.0, "fast": 39.5, "paper": 25_808}, rel=0.01)
+    assert thousands == pytest.approx({"default": 121.5, "fast": 39.5, "accurate": 194.0, "paper": 25_808}, rel=0.01)
     for spec in SPECS.values():
         assert UNet(spec)(torch.zeros(1, 1, 32, 64)).shape == (1, 1, 32, 64)
         assert 256 % spec.stride == 0, "crops fit"

@@ -24,7 +24,7 @@ def test_bundled_weights_load():
 
 def test_round_trip_folds_the_normalisation(tmp_path):
     torch.manual_seed(0)
-    net = UNet(UNetSpec(base=8, levels=3, convs=2), norm=True)
+    net = UNet(UNetSpec((8, 16, 32), convs=2), norm=True)
     with torch.no_grad():
         for _ in range(3):  # move the running statistics away from their start
             net(torch.randn(2, 1, 64, 64) * 3 + 1)
@@ -37,7 +37,7 @@ def test_round_trip_folds_the_normalisation(tmp_path):
 
 
 def test_smoothed_copies_of_the_image():
-    net = UNet(UNetSpec(base=8, levels=2, smoothed=2))
+    net = UNet(UNetSpec((8, 16), smoothed=2))
     image = torch.zeros(1, 4, 13, 13)
     image[0, :, 6, 6] = 45  # a point of light, the same in all four folded pixels
     first, second = (copy[0, 0] for copy in net._smoothed(image))
@@ -49,11 +49,11 @@ def test_smoothed_copies_of_the_image():
     assert (second[:1] == 0).all()
     flat = net._smoothed(torch.full((1, 4, 9, 9), 3.0))
     assert all(torch.allclose(copy, torch.tensor(6.0)) for copy in flat), "borders lose no light"
-    assert UNet(UNetSpec(base=8, levels=2, smoothed=0))._smoothed(image) == []
+    assert UNet(UNetSpec((8, 16), smoothed=0))._smoothed(image) == []
 
 
 def test_equal_weights_make_equal_files(tmp_path):
-    net = UNet(UNetSpec(base=8, levels=2))
+    net = UNet(UNetSpec((8, 16)))
     notes = {name: name.upper() for name in "abcdefgh"}
     assert len({save_unet(net, tmp_path / f"{i}.safetensors", **notes) for i in range(5)}) == 1
 
@@ -97,7 +97,7 @@ def test_weights_of_another_network_are_refused(tmp_path):
     save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec().to_metadata())
     with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
         load_unet(path)
-    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec(base=10**6).to_metadata())
+    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec((10**6,)).to_metadata())
     with pytest.raises(WeightsError, match="out of range"):
         load_unet(path)
 

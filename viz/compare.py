@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from frontend.settings import RunConfig
     from viz.comparison import Comparison
 
-PRESETS = ("default", "fast", "paper")
+PRESETS = ("default", "fast", "accurate", "paper")
 JPEG_QUALITY = 80
 EXIT_INTERRUPTED = 130
 

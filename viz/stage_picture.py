@@ -106,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Parser(prog="python -m viz.stage_picture", description="The detector's stages on one image.")
     parser.add_argument("image", type=Path, nargs="?", help="image file (default: a frame of the built-in clip)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".jpg or .png to write")
-    parser.add_argument("--preset", choices=["default", "fast", "paper"], default="default")
+    parser.add_argument("--preset", choices=["default", "fast", "accurate", "paper"], default="default")
     return exit_code(run, parser.parse_args(arguments))
 
 

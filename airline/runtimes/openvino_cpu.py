@@ -88,4 +88,4 @@ class OpenVinoNetwork:
         )
 
     def _in_pairs(self) -> bool:
-        return has_amx() and self._spec.base < FEW_CHANNELS[self._precision]
+        return has_amx() and self._spec.widths[0] < FEW_CHANNELS[self._precision]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,16 @@ def captured(network: Network, image: torch.Tensor) -> Callable[[], torch.Tensor
     return replay
 
 
+@dataclass(frozen=True)
+class _Sized:
+    """The network for one size and kind of image, and the memory around it; what the processor sees is pinned."""
+
+    given: torch.Tensor
+    image: torch.Tensor
+    run: Callable[[], torch.Tensor]
+    edges: torch.Tensor
+
+
 class CudaNetwork:
     """A U-Net on a GPU, in bfloat16 or, where the GPU has none, in float16; see `EdgeNetwork`.
 
@@ -57,30 +69,37 @@ class CudaNetwork:
     """
 
     def __init__(self, weights: str | Path | UNet, device: str = "cuda", capture: Capture = captured) -> None:
-        if device == "cuda" and not torch.cuda.is_available():
+        self._on_gpu = device == "cuda"
+        if self._on_gpu and not torch.cuda.is_available():
             raise ConfigError("no CUDA device is available: use --runtime auto")
-        self._half = torch.float16 if device == "cuda" and not torch.cuda.is_bf16_supported() else torch.bfloat16
-        net = weights if isinstance(weights, UNet) else load_unet(weights)
+        self._half = torch.float16 if self._on_gpu and not torch.cuda.is_bf16_supported() else torch.bfloat16
+        net = deepcopy(weights) if isinstance(weights, UNet) else load_unet(weights)  # the caller's stays as it is
         self._net: UNet = net.to(device, self._half).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._device, self._capture = device, capture
-        self._graphs = Sizes(self._graph)
+        self._sizes = Sizes(self._sized)
         self._lock = threading.Lock()
 
     @property
     def name(self) -> str:
-        return f"torch {self._device} {'f16' if self._half == torch.float16 else 'bf16'}"
+        numbers = "f16" if self._half == torch.float16 else "bf16"
+        return f"torch {torch.cuda.get_device_name() if self._on_gpu else self._device} {numbers}"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
-        pixels = torch.from_numpy(np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.int32))
         with self._lock, torch.inference_mode():
-            image, answer = self._graphs.of(pixels.shape, pixels.dtype)
-            image.copy_(pixels)
-            edges: NDArray[np.float32] = answer().to("cpu", copy=True).numpy()
+            sized = self._sizes.of(gray.shape, torch.uint8 if gray.dtype == np.uint8 else torch.int32)
+            sized.given.numpy()[...] = gray
+            sized.image.copy_(sized.given, non_blocking=True)
+            sized.edges.copy_(sized.run(), non_blocking=True)
+            if self._on_gpu:
+                torch.cuda.current_stream().synchronize()
+            edges: NDArray[np.float32] = sized.edges.numpy().copy()
         return edges
 
-    def _graph(self, shape: torch.Size, kind: torch.dtype) -> tuple[torch.Tensor, Callable[[], torch.Tensor]]:
+    def _sized(self, shape: tuple[int, ...], kind: torch.dtype) -> _Sized:
+        given = torch.empty(shape, dtype=kind, pin_memory=self._on_gpu)
         image = torch.zeros(shape, dtype=kind, device=self._device)
-        return image, self._capture(self._edges, image)
+        edges = torch.empty(shape, dtype=torch.float32, pin_memory=self._on_gpu)
+        return _Sized(given, image, self._capture(self._edges, image), edges)
 
     def _edges(self, image: torch.Tensor) -> torch.Tensor:
         return torch.sigmoid(self._net.answer(image.float()[None, None])[0, 0].float()).contiguous()

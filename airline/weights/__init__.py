@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +23,9 @@ if TYPE_CHECKING:
 Ranges = dict[str, tuple[float, float]]
 
 BUNDLED = {
-    "default": "5806eda2bc41a283d4a643fe6de1fc1b664e27ddc9e12a326fac7ac19c689651",
-    "fast": "ee77071d7267a0afcb8af4d411b2597c2f2368ae89a520068749214b88b6ccb1",
+    "accurate": "2365e6ca2c3d36406bc1aabcad331b2eae71881477538b5528ebda28a69a4606",
+    "default": "7eeacd00a2b9daf30f3b21a2d785f1750aca11329b3f680c7389f2c588d69b72",
+    "fast": "a1752584451ed4ef9aa27cb0459ee23b0daab3b41c43a47d7e883b86eb39cf0f",
 }
 
 
@@ -55,7 +55,7 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
     path, metadata, tensors = _read(weights)
     try:
         return _checked(metadata, tensors)
-    except (KeyError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise _unfit(path, error) from None
 
 
@@ -108,11 +108,8 @@ def load_unet(weights: str | Path) -> UNet:
 
 
 def _checked(metadata: dict[str, str], tensors: dict[str, NDArray[Any]]) -> tuple[UNetSpec, dict[str, Any]]:
-    """Shape and tensors that fit each other; raises KeyError and ValueError."""
-    spec = UNetSpec(**{field.name: int(metadata[field.name]) for field in fields(UNetSpec)})
-    shape = [getattr(spec, field.name) for field in fields(UNetSpec) if field.name != "smoothed"]
-    if not all(1 <= size <= 1024 for size in shape) or spec.levels > 8 or not 0 <= spec.smoothed <= 8:
-        raise ValueError("its network shape is out of range")
+    """Shape and tensors that fit each other; raises KeyError, TypeError and ValueError."""
+    spec = UNetSpec.from_metadata(metadata)
     expected = spec.shapes()
     if tensors.keys() != expected.keys():
         raise ValueError(f"its tensors differ: {', '.join(sorted(tensors.keys() ^ expected.keys())[:3])}")
