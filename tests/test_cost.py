@@ -38,7 +38,7 @@ def test_picture_and_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert cv2.imread(str(out)).shape[0] > 300
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed[1:3]] == ["160x120", "640x480"]
-    assert "0.90 GMAC" in printed[4]
+    assert "0.49 GMAC" in printed[4]
 
 
 @pytest.mark.parametrize(

@@ -50,10 +50,14 @@ def digest(clip: Path, runtime: str = "openvino", threads: int = 1, how: str = "
 
 @pytest.mark.parametrize("runtime", ["openvino", "torch"])
 def test_every_start_gives_the_same_bits(clip: Path, runtime: str) -> None:
-    """Whether stages overlap or not, and with any number of the network's threads: sums are never split among them."""
+    """Whether stages overlap or not."""
     first = digest(clip, runtime)
     assert digest(clip, runtime, how="serial") == first
-    assert digest(clip, runtime, threads=2) == first
+
+
+def test_any_number_of_the_networks_threads_gives_the_same_bits(clip: Path) -> None:
+    """In OpenVINO: torch divides its sums differently, on an AMD EPYC for one."""
+    assert digest(clip, threads=1) == digest(clip, threads=2)
 
 
 @pytest.mark.skipif("COLD" not in os.environ, reason="compiles everything anew, half a minute: set COLD=1")

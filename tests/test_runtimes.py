@@ -108,9 +108,7 @@ def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec) -> None:
     assert_close(ours(image), TorchNetwork(net.eval())(image), "f32")
 
 
-@pytest.mark.parametrize(
-    "spec", [UNetSpec((6, 12, 24), convs=2, smoothed=1), UNetSpec((4,)), SPECS["default"]]
-)
+@pytest.mark.parametrize("spec", [UNetSpec((6, 12, 24), convs=2, smoothed=1), UNetSpec((4,)), SPECS["default"]])
 def test_pixels_convolved_in_pairs_give_the_same(tmp_path: Path, spec: UNetSpec) -> None:
     torch.manual_seed(2)
     save_unet(UNet(spec), tmp_path / "net.safetensors")

@@ -12,11 +12,12 @@ from torch import nn
 from airline.unet import UNet
 from airline.weights import Ranges
 
-BEYOND = 1e-4  # share of an image's numbers that may lie beyond a range, on either side
+BEYOND = 1e-5  # share of an image's numbers that may lie beyond a range, on either side,
+IMAGES = 0.95  # in so many of the images: one odd image must not take the others' precision
 
 
 def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:
-    """Least and largest input of each convolution but the first, over some images.
+    """Least and largest input of each convolution but the first, over most of some images.
 
     Args:
         net: the network, normalisation folded.
@@ -45,4 +46,8 @@ def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:
     finally:
         for hook in hooks:
             hook.remove()
-    return {name: (min(low for low, _ in each), max(high for _, high in each)) for name, each in found.items()}
+    return {name: _of_most(*np.array(each).T) for name, each in found.items()}
+
+
+def _of_most(lows: NDArray[np.float64], highs: NDArray[np.float64]) -> tuple[float, float]:
+    return float(np.quantile(lows, 1 - IMAGES, method="lower")), float(np.quantile(highs, IMAGES, method="higher"))

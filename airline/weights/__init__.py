@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 Ranges = dict[str, tuple[float, float]]
 
 BUNDLED = {
-    "accurate": "2365e6ca2c3d36406bc1aabcad331b2eae71881477538b5528ebda28a69a4606",
-    "default": "7eeacd00a2b9daf30f3b21a2d785f1750aca11329b3f680c7389f2c588d69b72",
-    "fast": "a1752584451ed4ef9aa27cb0459ee23b0daab3b41c43a47d7e883b86eb39cf0f",
+    "accurate": "c96a8cfd4795c610e73e560a0c2f9987d5e8aceb798ef3fc7a3b4094b94e4323",
+    "default": "e8dcfbd2abbe581142ba5837ef6c31dc7c23f97f07881049d30abb7db22a4f9d",
+    "fast": "16068ff7548ec7518ca91fd0530e72ea7db88755dda636f55b5976e1e6af4bda",
 }
 
 
