@@ -34,7 +34,8 @@ log = logging.getLogger("airline.train")
 
 DEFAULT_STEPS = 28000
 HELD_OUT_SCENES = 12
-SETTINGS = ("model", "minutes", "scenes", "views", "seed", "loss_weight", "loss_radius")  # what a checkpoint depends on
+# what a checkpoint depends on
+SETTINGS = ("model", "minutes", "batch", "rate", "scenes", "views", "seed", "loss_weight", "loss_radius")
 
 
 def number(kind: type[int] | type[float], low: float, below: float = math.inf) -> Callable[[str], float]:
@@ -63,6 +64,9 @@ def build_parser() -> argparse.ArgumentParser:
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--steps", type=number(int, 1), metavar="N", help=f"training steps (default: {DEFAULT_STEPS})")
     length.add_argument("--minutes", type=number(float, 0.01), metavar="M", help="train for this long instead")
+    batch, rate = Schedule.batch, Schedule.peak_rate
+    add("--batch", type=number(int, 1), default=batch, metavar="N", help="crops per step (default: %(default)s)")
+    add("--rate", type=number(float, 1e-9), default=rate, metavar="R", help="peak learning rate (default: %(default)s)")
     add("--scenes", type=number(int, 0), default=0, metavar="N", help="add N rendered scenes with exact lines")
     add("--limit", type=number(int, 1), metavar="N", help="use at most N photographs")
     add("--views", type=number(int, 1), default=7, metavar="N", help="random views per photograph for its labels")
@@ -111,7 +115,7 @@ def run(options: argparse.Namespace) -> bool:
     photographs, scenes, held_out_scenes = _samples(options)
     held_out, rest = split(photographs)
     steps = DEFAULT_STEPS if options.steps is None and options.minutes is None else options.steps
-    schedule = Schedule(steps, options.minutes)
+    schedule = Schedule(steps, options.minutes, batch=options.batch, peak_rate=options.rate)
     weigh = PixelWeights(options.loss_weight, options.loss_radius)
     session = Session(
         schedule=schedule,
@@ -131,10 +135,17 @@ def run(options: argparse.Namespace) -> bool:
     state = State(UNet(SPECS[options.model], norm=True), device)
     if not session.run(state, rest + scenes, options.seed, weigh):
         return False
-    counts = {"images": len(photographs), "scenes": len(scenes), "steps": state.step, "seed": options.seed}
+    notes = {
+        "images": len(photographs),
+        "scenes": len(scenes),
+        "steps": state.step,
+        "batch": options.batch,
+        "rate": options.rate,
+        "seed": options.seed,
+    }
     ranges = measure_ranges(state.net.folded(), (sample.gray for sample in held_out + held_out_scenes))
     digest = save_unet(
-        state.net, options.out, ranges, model=options.model, **{name: str(count) for name, count in counts.items()}
+        state.net, options.out, ranges, model=options.model, **{name: str(value) for name, value in notes.items()}
     )
     log.info("wrote %s  sha256 %s", options.out, digest)
     return True

@@ -93,7 +93,11 @@ def test_a_finished_training_is_extended_and_other_settings_are_refused(photogra
     assert main(arguments(photographs, out, "--steps", 2, "--scenes", 1)) == 0
     assert "extended from --steps 1 to 2" in caplog.text
     checkpoint = (tmp_path / "net.checkpoint").read_bytes()
-    for change, name in ((("--seed", 1), "--seed was 0 and is 1"), (("--loss-radius", 3), "--loss-radius was 5")):
+    for change, name in (
+        (("--seed", 1), "--seed was 0 and is 1"),
+        (("--batch", 3), "--batch was 12 and is 3"),
+        (("--loss-radius", 3), "--loss-radius was 5"),
+    ):
         capsys.readouterr()
         assert main(arguments(photographs, out, "--steps", 2, "--scenes", 1, *change)) == 2
         error = capsys.readouterr().err.splitlines()[-1]
