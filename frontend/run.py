@@ -136,6 +136,10 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             for publisher in publishers:
                 print(f"publishing at {publisher.address}", flush=True)
             save, viewer = where_to_record(options, source.name, server)
+            if options.input is None:
+                from frontend.warm_up import compile_ahead
+
+                compile_ahead()  # while the renderer is compiled here
             code, summary = process(source, config, open_sinks)
         report(options, save, summary)
         if server is not None and code == 0:

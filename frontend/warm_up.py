@@ -2,15 +2,16 @@
 
 On a machine's first start the compiler takes most of the time. It does one thing at a time within a process, so another
 process compiles about half of it into the cache, the second half of the line fit and the tracker, while the rest is
-compiled here.
+compiled here; or all of it, while the renderer of the built-in clip is compiled here.
 """
 
 from __future__ import annotations
 
+import atexit
 import gc
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -28,6 +29,14 @@ from frontend.tracking.overlap import _votes
 
 SIZE = 64, 80  # rows and columns of the image with which the other process compiles
 
+_helper: subprocess.Popen[bytes] | None = None
+
+
+def compile_ahead() -> None:
+    """On the first start, have all compiled by another process, long before `warm_up` needs it."""
+    global _helper
+    _helper = _start_helper("all") if _helper is None else _helper
+
 
 def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     """A throw-away pass through a detector and a tracker.
@@ -37,17 +46,25 @@ def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] |
         config: the tracker's settings.
         image: an image like those to come.
     """
-    helper = _start_helper() if cores() > 1 and _is_cold() else None
-    try:
-        with _few_collections():
-            lines = detector(image)
-            if helper is not None:
-                helper.wait()  # whatever it answers: what it has not compiled is compiled here
-            _track(config, image, lines)
-    except BaseException:
-        if helper is not None:
+    with _few_collections(), _using_helper() as wait:
+        lines = detector(image)
+        wait()
+        _track(config, image, lines)
+
+
+@contextmanager
+def _using_helper() -> Iterator[Callable[[], object]]:
+    """A call that waits for the other process's half; what it has not compiled by then is compiled here."""
+    global _helper
+    helper, _helper = _helper or _start_helper("half"), None
+    if helper is None or helper.stdout is None:
+        yield lambda: None
+        return
+    with helper:  # which closes the pipe and waits for the process
+        try:
+            yield helper.stdout.readline
+        finally:
             helper.kill()
-        raise
 
 
 @contextmanager
@@ -73,12 +90,17 @@ def _is_cold() -> bool:
     return folder is not None and not any(Path(folder).glob("overlap._votes-*.nbi"))
 
 
-def _start_helper() -> subprocess.Popen[bytes] | None:
-    command = [sys.executable, "-m", "frontend.warm_up"]
+def _start_helper(share: str) -> subprocess.Popen[bytes] | None:
+    """The process that compiles, where there is something to compile and a core for it."""
+    if cores() == 1 or not _is_cold():
+        return None
+    command = [sys.executable, "-m", "frontend.warm_up", share]
     try:
-        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        helper = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     except OSError:  # no more processes, or no Python by that name
         return None
+    atexit.register(helper.kill)
+    return helper
 
 
 def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
@@ -97,4 +119,8 @@ def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
 if __name__ == "__main__":
     with _few_collections():
         compile_choice_of_lines()
-        _track(TrackerConfig(), *_made_up())
+        image, lines = _made_up()
+        _track(TrackerConfig(), image, lines)
+        print("half", flush=True)
+        if sys.argv[1:] == ["all"]:
+            AirLine()(image)

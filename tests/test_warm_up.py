@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from airline.team import cores
 from frontend.warm_up import _start_helper
 
 TRACK = """
@@ -36,15 +37,40 @@ print(_is_cold(), *(sum(sum(kernel.stats.cache_misses.values()) for kernel in so
 """
 
 
-def test_what_the_process_beside_compiles_is_what_is_needed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("share", "left"), [("half", "1"), ("all", "0")])
+def test_what_the_process_beside_compiles_is_what_is_needed(tmp_path: Path, share: str, left: str) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-m", "frontend.warm_up"], env=environment, check=True, timeout=120)
+    command = [sys.executable, "-m", "frontend.warm_up", share]
+    subprocess.run(command, env=environment, check=True, timeout=120, stdout=subprocess.DEVNULL)
     said = subprocess.run(
         [sys.executable, "-c", TRACK], env=environment, check=True, timeout=120, capture_output=True, text=True
     )
-    assert said.stdout.split() == ["False", "0", "1"]
+    assert said.stdout.split() == ["False", "0", left]
+
+
+COLD = """
+import sys
+from frontend import warm_up
+started = []
+start = warm_up._start_helper
+warm_up._start_helper = lambda share: started.append(start(share)) or started[-1]
+warm_up.compile_ahead()
+with warm_up._using_helper() as wait:
+    assert wait() == b"half\\n"
+assert len(started) == 1 and started[0].returncode is not None and warm_up._helper is None
+with warm_up._using_helper() as wait:
+    wait()
+assert started[1] is None, "nothing is left to compile"
+"""
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core: everything is compiled by one process")
+def test_what_was_started_ahead_is_waited_for_and_ended(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-W", "error", "-c", COLD], env=environment, check=True, timeout=120)
 
 
 def test_where_no_process_starts_everything_is_compiled_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    assert _start_helper() is None
+    monkeypatch.setattr("frontend.warm_up._is_cold", lambda: True)
+    assert _start_helper("half") is None
