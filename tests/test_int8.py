@@ -16,7 +16,7 @@ from airline.runtimes import openvino_cpu, processor
 from airline.runtimes.openvino_cpu import OpenVinoNetwork
 from airline.runtimes.torch_eager import TorchNetwork
 from airline.spec import SPECS, UNetSpec
-from airline.training.ranges import BEYOND, measure_ranges
+from airline.training.ranges import BEYOND, _of_most, measure_ranges
 from airline.unet import UNet, normalise
 from airline.weights import BUNDLED, load_ranges, load_unet, save_unet
 from frontend.sources.scene import SceneSource
@@ -39,6 +39,12 @@ def test_bundled_weights_have_ranges(name: str) -> None:
     ranges = load_ranges(name)
     assert ranges.keys() == convolutions(load_unet(name).spec) - {"down.0.0"}
     assert all(low <= 0 < high for low, high in ranges.values())
+
+
+def test_one_odd_image_does_not_widen_the_ranges() -> None:
+    usual = np.ones(39)
+    assert _of_most(-np.append(usual, 9), np.append(usual, 9)) == (-1, 1)
+    assert _of_most(np.array([-2.0, 0]), np.array([3.0, 1])) == (-2, 3), "of a few, none is odd"
 
 
 def test_ranges_hold_all_numbers_but_a_few(scene: np.ndarray) -> None:

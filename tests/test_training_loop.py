@@ -221,7 +221,7 @@ def test_the_network_is_measured_as_it_will_be_used(tmp_path):
 
 def test_named_networks_have_the_sizes_they_are_known_by():
     thousands = {name: sum(p.numel() for p in UNet(spec).parameters()) / 1e3 for name, spec in SPECS.items()}
-    assert thousands == pytest.approx({"default": 121.5, "fast": 39.5, "accurate": 194.0, "paper": 25_808}, rel=0.01)
+    assert thousands == pytest.approx({"default": 121.2, "fast": 39.5, "accurate": 194.0, "paper": 25_808}, rel=0.01)
     for spec in SPECS.values():
         assert UNet(spec)(torch.zeros(1, 1, 32, 64)).shape == (1, 1, 32, 64)
         assert 256 % spec.stride == 0, "crops fit"
