@@ -135,8 +135,9 @@ def test_lines_point_the_same_way_detected_before_and_after(lens: str) -> None:
     lines = []
     for frame in (before, after):
         assert frame.camera is not None
-        segments = detect(frame.image).segments
-        segments = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) > 25]
+        found = detect(frame.image)
+        sure = found.scores > 0.4  # not what the detector may see in one grey level's step around a square
+        segments = found.segments[sure & (np.hypot(*(found.segments[:, 1] - found.segments[:, 0]).T) > 25)]
         lines.append(frame.camera.normalize(segments).astype(np.float64))
     raw, straight = lines
     assert len(raw) >= 14
