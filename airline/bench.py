@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code, write_json
+from airline.config import PRESETS
 from airline.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def build_parser() -> Parser:
     parser = Parser(prog="python -m airline.bench", description="Time the detector beside OpenCV's LSD, interleaved.")
     parser.add_argument("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
     parser.add_argument("--size", default="640x480", metavar="WxH", help="resize images to this (default: %(default)s)")
-    parser.add_argument("--preset", choices=["default", "fast", "accurate", "paper"], default="default")
+    parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
     parser.add_argument("--threads", type=int, metavar="N", help="use so many processor cores (default: all)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="over all images (default: %(default)s)")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 
 from airline.errors import ConfigError
 
 Preset = Literal["default", "fast", "accurate", "paper"]
+PRESETS: tuple[str, ...] = get_args(Preset)
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Pixels = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 
@@ -98,4 +99,4 @@ def preset(name: str) -> DetectorConfig:
             fit=FitConfig(kind="paper"),
             refine=RefineConfig(max_shift=0),
         )
-    raise ConfigError(f"no preset named '{name}': use default, fast, accurate or paper")
+    raise ConfigError(f"no preset named '{name}': use one of {', '.join(PRESETS)}")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.command import Parser, exit_code, write_json
+from airline.config import PRESETS
 from airline.evaluation.command import add_dataset, open_dataset, track
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def build_parser() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_dataset(parser)
-    parser.add_argument("--preset", default="default", help="default, fast, accurate or paper (default: %(default)s)")
+    parser.add_argument("--preset", default="default", help=f"{', '.join(PRESETS)} (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
     runtimes = ["auto", "openvino", "torch", "cuda"]
     parser.add_argument("--runtime", choices=runtimes, default="auto", help="where the edge network runs")

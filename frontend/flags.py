@@ -8,6 +8,7 @@ from typing import Any
 
 from airline import __version__
 from airline.command import Parser
+from airline.config import PRESETS
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -95,7 +96,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
     camera.add_argument("--undistort", action="store_const", const=True, help="remove lens distortion before detection")
     model = parser.add_argument_group("detector")
-    model.add_argument("--preset", choices=["default", "fast", "accurate", "paper"], help="settings to start from")
+    model.add_argument("--preset", choices=PRESETS, help="settings to start from")
     model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
     model.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], help="what the edge network runs in")
     settings = parser.add_argument_group("settings")

@@ -102,6 +102,18 @@ def test_weights_of_another_network_are_refused(tmp_path):
         load_unet(path)
 
 
+@pytest.mark.parametrize(
+    "widths", ["[]", "[true]", "[1.5]", "16", '{"a": 1}', "[16", "[0]", "[" * 9999, "[4, 4, 4, 4, 4, 4, 4, 4, 4]"]
+)
+def test_shapes_that_are_none_are_refused(tmp_path, widths):
+    from safetensors.torch import save_file
+
+    path = tmp_path / "other.safetensors"
+    save_file({"a": torch.zeros(3)}, path, metadata={**UNetSpec().to_metadata(), "widths": widths})
+    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
+        load_unet(path)
+
+
 def test_weights_that_are_not_numbers_are_refused(tmp_path):
     net = UNet(UNetSpec())
     with torch.no_grad():

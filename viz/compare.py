@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.command import EXIT_USER_ERROR, Parser
+from airline.config import PRESETS
 from airline.errors import AirLineError, InputError
 from viz.moments import Moment, joined
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from frontend.settings import RunConfig
     from viz.comparison import Comparison
 
-PRESETS = ("default", "fast", "accurate", "paper")
 JPEG_QUALITY = 80
 EXIT_INTERRUPTED = 130
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code
+from airline.config import PRESETS
 from airline.detector import AirLine
 from airline.errors import InputError
 from airline.image import to_gray, to_uint8
@@ -106,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Parser(prog="python -m viz.stage_picture", description="The detector's stages on one image.")
     parser.add_argument("image", type=Path, nargs="?", help="image file (default: a frame of the built-in clip)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".jpg or .png to write")
-    parser.add_argument("--preset", choices=["default", "fast", "accurate", "paper"], default="default")
+    parser.add_argument("--preset", choices=PRESETS, default="default")
     return exit_code(run, parser.parse_args(arguments))
 
 
