@@ -107,7 +107,8 @@ def test_interrupt_tells_consumers_that_it_was_all(clip: Path, tmp_path: Path) -
             _, errors = child.communicate(timeout=30)
         assert time.monotonic() - begin < 10
     assert child.returncode == 130
-    assert errors == "WARNING: interrupted: what was done so far is kept\n"
+    said = [line for line in errors.splitlines() if "frames come faster" not in line]  # as they do on a busy machine
+    assert said == ["WARNING: interrupted: what was done so far is kept"]
     assert len(rest) < 1000
     assert subscription.lost == 0
 
