@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code, write_json
-from airline.config import PRESETS
+from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def build_parser() -> Parser:
     parser.add_argument("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
     parser.add_argument("--size", default="640x480", metavar="WxH", help="resize images to this (default: %(default)s)")
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
+    parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
     parser.add_argument("--threads", type=int, metavar="N", help="use so many processor cores (default: all)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="over all images (default: %(default)s)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")

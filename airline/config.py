@@ -1,4 +1,4 @@
-"""Settings of the detector, and its presets."""
+"""Settings of the detector, its presets, and the names of what its network can run in."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from airline.errors import ConfigError
 
 Preset = Literal["default", "fast", "accurate", "paper"]
 PRESETS: tuple[str, ...] = get_args(Preset)
+Runtime = Literal["auto", "native", "openvino", "torch", "cuda"]
+RUNTIMES: tuple[str, ...] = get_args(Runtime)
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Pixels = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 

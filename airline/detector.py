@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from airline.config import DetectorConfig
+from airline.config import DetectorConfig, Runtime
 from airline.config import preset as settings_of
 from airline.edges import CannyEdges, EdgeDetector, UNetEdges
 from airline.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
@@ -20,7 +20,6 @@ from airline.lines import LineSet
 from airline.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
 from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
 from airline.refine import ImageRefiner
-from airline.runtimes import Runtime
 from airline.team import Team, cores
 from airline.trace import Trace
 
@@ -63,9 +62,9 @@ class AirLine:
             preset: "default", "fast", "accurate" or "paper".
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
-            runtime: what the U-Net runs in: "auto", "openvino", "torch" or "cuda"; see `airline.runtimes`.
-            threads: how many cores the U-Net in OpenVINO and the stages after it take; all by default, as is best for
-                one image at a time.
+            runtime: what the U-Net runs in: "auto", "native", "openvino", "torch" or "cuda"; see `airline.runtimes`.
+            threads: how many cores the U-Net (but for torch and CUDA) and the stages after it take; all by default, as
+                is best for one image at a time.
 
         Raises:
             ConfigError: a setting is unknown or out of range, or the runtime is not here.

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.config import Runtime
 from airline.errors import ConfigError
 from airline.image import Gray, to_uint8
-from airline.runtimes import EdgeNetwork, Runtime, open_network
+from airline.runtimes import EdgeNetwork, open_network
 
 if TYPE_CHECKING:
     import torch

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.command import Parser, exit_code, write_json
-from airline.config import PRESETS
+from airline.config import PRESETS, RUNTIMES
 from airline.evaluation.command import add_dataset, open_dataset, track
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def build_parser() -> Parser:
     add_dataset(parser)
     parser.add_argument("--preset", default="default", help=f"{', '.join(PRESETS)} (default: %(default)s)")
     parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
-    runtimes = ["auto", "openvino", "torch", "cuda"]
-    parser.add_argument("--runtime", choices=runtimes, default="auto", help="where the edge network runs")
+    parser.add_argument("--runtime", choices=RUNTIMES, default="auto", help="where the edge network runs")
     parser.add_argument(
         "--predictions",
         type=Path,

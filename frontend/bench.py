@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from airline.command import Parser, exit_code, write_json
-from airline.config import PRESETS
+from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
 from frontend.terminal import progress
@@ -87,7 +87,7 @@ def build_parser() -> Parser:
     parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
     parser.add_argument("--size", nargs="+", default=SIZES, metavar="WxH", help=f"sizes (default: {' '.join(SIZES)})")
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
+    parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
     parser.add_argument("--frames", type=int, default=150, metavar="N", help="per run (default: %(default)s)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     return parser

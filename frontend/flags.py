@@ -8,7 +8,7 @@ from typing import Any
 
 from airline import __version__
 from airline.command import Parser
-from airline.config import PRESETS
+from airline.config import PRESETS, RUNTIMES
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -98,7 +98,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     model = parser.add_argument_group("detector")
     model.add_argument("--preset", choices=PRESETS, help="settings to start from")
     model.add_argument("--weights", metavar="FILE", help="weights of the edge network (.safetensors)")
-    model.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], help="what the edge network runs in")
+    model.add_argument("--runtime", choices=RUNTIMES, help="what the edge network runs in")
     settings = parser.add_argument_group("settings")
     settings.add_argument("--config", type=Path, metavar="FILE.toml", help="settings; flags override them")
     settings.add_argument(

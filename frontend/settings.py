@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 from msgspec import Meta
 
-from airline.config import DetectorConfig, Preset, preset
+from airline.config import DetectorConfig, Preset, Runtime, preset
 from airline.errors import ConfigError, InputError
-from airline.runtimes import Runtime
 from frontend.tracking.config import TrackerConfig
 
 T = TypeVar("T")

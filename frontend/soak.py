@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from airline.command import Parser, write_json
-from airline.config import PRESETS
+from airline.config import PRESETS, RUNTIMES
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.evaluation.endurance import Endurance, Trend, trend
 
@@ -101,7 +101,7 @@ def build_parser() -> Parser:
     parser.add_argument("--frames", type=int, default=50_000, metavar="N", help="in all (default: %(default)s)")
     parser.add_argument("--size", default="640x480", metavar="WxH", help="of the frames (default: %(default)s)")
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--runtime", choices=["auto", "openvino", "torch", "cuda"], default="auto")
+    parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
     parser.add_argument(
         "--per-file", type=int, default=1000, metavar="N", help="frames per file (default: %(default)s)"
     )

@@ -1,22 +1,21 @@
-"""Where the edge network runs: OpenVINO, torch, CUDA. One file each; every one gives the same edges."""
+"""Where the edge network runs: vector code of our own, OpenVINO, torch, CUDA. Every one gives the same edges."""
 
 from __future__ import annotations
 
 import importlib.util
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.config import Runtime
 from airline.errors import ConfigError
 from airline.image import Gray
 
 if TYPE_CHECKING:
     from airline.unet import UNet
-
-Runtime = Literal["auto", "openvino", "torch", "cuda"]
 
 
 class EdgeNetwork(Protocol):
@@ -24,7 +23,7 @@ class EdgeNetwork(Protocol):
 
     @property
     def name(self) -> str:
-        """The runtime and its precision, such as "openvino int8"."""
+        """The runtime and its precision, such as "native int8"."""
         ...
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
@@ -37,10 +36,10 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
-        runtime: "openvino" (8-bit numbers or bfloat16 where the processor is made for them), "torch" (float32 on the
-            CPU), "cuda" (half precision), or "auto": CUDA where there is such a device, else OpenVINO where it is
-            installed, else torch.
-        threads: how many of the processor's cores OpenVINO works on; all by default.
+        runtime: "native" (8-bit numbers on x86), "openvino" (8-bit numbers or bfloat16 where the processor is made for
+            them, else float32), "torch" (float32 on the CPU), "cuda" (half precision), or "auto": CUDA where there is
+            such a device, else the first of these that fits the processor and the network.
+        threads: how many of the processor's cores "native" and OpenVINO work on; all by default.
 
     Raises:
         WeightsError: the weights are missing, damaged or made for another network.
@@ -48,6 +47,12 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
     """
     if runtime == "auto":
         runtime = _best(weights)
+    if runtime == "native":
+        if not isinstance(weights, (str, Path)):
+            raise ConfigError("the runtime native takes weights from a file: save the network, or use torch")
+        from airline.runtimes.native.network import NativeNetwork
+
+        return NativeNetwork(weights, threads)
     if runtime == "openvino":
         if not isinstance(weights, (str, Path)):
             raise ConfigError("OpenVINO takes weights from a file: save the network, or use the runtime torch")
@@ -71,4 +76,10 @@ def _best(weights: str | Path | UNet) -> Runtime:
 
         if torch.cuda.is_available():
             return "cuda"
-    return "openvino" if isinstance(weights, (str, Path)) and importlib.util.find_spec("openvino") else "torch"
+    if not isinstance(weights, (str, Path)):
+        return "torch"
+    from airline.runtimes.native.network import suits
+
+    if suits(weights):
+        return "native"
+    return "openvino" if importlib.util.find_spec("openvino") else "torch"

@@ -14,17 +14,13 @@ from numpy.typing import NDArray
 
 from airline.compiled import njit
 from airline.image import Gray
+from airline.runtimes.sigmoid import sigmoid
+from airline.runtimes.smooth import box_mean
 from airline.spec import UNetSpec
 from airline.team import ALONE, Team
 
 ONE = np.float32(1)
-HALF = np.float32(0.5)
 UPPER, ROUND, LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
-# Lambert's continued fraction of tanh(t), nine terms: t * (A0 + A1 s + ...) / (A0 + B1 s + ...) with s = t * t; cut off
-# where it reaches 1, it is 6e-6 off at most
-A0, A1, A2, A3 = (np.float32(value) for value in (34459425, 4729725, 135135, 990))
-B1, B2, B3, B4 = (np.float32(value) for value in (16216200, 945945, 13860, 45))
-LIMIT = np.float32(6.28)
 LEAST_ROWS = 64  # of the network's first level that are worth a thread
 
 Codes = NDArray[np.uint16 | np.uint32]
@@ -65,7 +61,8 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
         for level in range(spec.smoothed):
             finer, means = means, np.empty_like(means)
             doubled = planes[start:end, :, len(block) ** 2 + level]
-            _box_mean(finer, level + 1, means, doubled, start - first)
+            box_mean(finer, level + 1, means)
+            _encode_doubled(means[start - first : end - first], doubled)
 
     team.share(rows, LEAST_ROWS, fill)
 
@@ -132,40 +129,17 @@ def _encode(bits: Any, codes: Any) -> None:
             codes[x] = bits[x]
 
 
-@njit(fastmath=True)
-def _box_mean(image: Any, radius: int, means: Any, doubled: Any, skipped: int) -> None:
-    """Mean of the square around each pixel, as far as it lies in the image; twice that as codes, but for some rows."""
-    rows, columns = image.shape
-    twice = np.empty(columns, np.float32)
-    codes = np.empty(columns, doubled.dtype)
-    sums = np.zeros(columns + 2 * radius, np.float32)
-    share = np.empty(columns, np.float32)
-    for x in range(columns):
-        share[x] = ONE / np.float32(min(x, radius) + min(columns - 1 - x, radius) + 1)
-    middle = sums[radius : radius + columns]
+@njit()
+def _encode_doubled(means: Any, doubled: Any) -> None:
+    """Twice each number as codes."""
+    rows, columns = means.shape
+    twice, codes = np.empty(columns, np.float32), np.empty(columns, doubled.dtype)
     for y in range(rows):
-        first, last = max(y - radius, 0), min(y + radius, rows - 1)
         for x in range(columns):
-            middle[x] = 0
-        for row in range(first, last + 1):
-            line = image[row]
-            for x in range(columns):
-                middle[x] += line[x]
-        target = means[y]
+            twice[x] = means[y, x] + means[y, x]
+        _encode(twice.view(np.uint32), codes)
         for x in range(columns):
-            target[x] = 0
-        for shift in range(2 * radius + 1):
-            moved = sums[shift : shift + columns]
-            for x in range(columns):
-                target[x] += moved[x]
-        share_of_rows = ONE / np.float32(last - first + 1)
-        for x in range(columns):
-            target[x] *= share_of_rows * share[x]
-            twice[x] = target[x] + target[x]
-        if skipped <= y < skipped + len(doubled):
-            _encode(twice.view(np.uint32), codes)
-            for x in range(columns):
-                doubled[y - skipped, x] = codes[x]
+            doubled[y, x] = codes[x]
 
 
 @njit()
@@ -183,17 +157,6 @@ def _unfold(numbers: Any, block: Any, table: Any, edges: Any, start: int, end: i
                     lines[dy, side * x + dx] = number if table is None else table[number]
         for dy in range(min(side, height - side * y)):
             if table is None:
-                _sigmoid(lines[dy])
+                sigmoid(lines[dy])
             for x in range(width):
                 edges[side * y + dy, x] = lines[dy, x]
-
-
-@njit(fastmath=True)
-def _sigmoid(values: Any) -> None:
-    """In place."""
-    for x in range(len(values)):
-        t = HALF * values[x]
-        t = LIMIT if t > LIMIT else (-LIMIT if t < -LIMIT else t)
-        s = t * t
-        over = A0 + s * (A1 + s * (A2 + s * (A3 + s)))
-        values[x] = HALF + HALF * t * over / (A0 + s * (B1 + s * (B2 + s * (B3 + s * B4))))

@@ -7,6 +7,8 @@ from functools import cache
 
 import llvmlite.binding
 
+from airline.runtimes.native.vectors import AVX2, AVX2_VNNI, AVX512_VNNI, Isa
+
 
 def has_amx() -> bool:
     """Whether it multiplies matrices of bfloat16 numbers."""
@@ -22,6 +24,14 @@ def has_bf16() -> bool:
 def has_vnni() -> bool:
     """Whether it multiplies and adds 8-bit numbers in one instruction, as most x86 laptops have since 2020."""
     return (_has("avx512vnni") or _has("avxvnni")) and _allowed("VNNI", "BF16", "FP16", "AMX")
+
+
+def vector_instructions() -> Isa | None:
+    """Which of its vector instructions the runtime "native" uses; None where it has none of them."""
+    if has_vnni():
+        wide = _has("avx512vnni") and _has("avx512bw") and _allowed("AVX512", "AVX10")
+        return AVX512_VNNI if wide else AVX2_VNNI
+    return AVX2 if _has("avx2") and _has("fma") and _allowed("AVX") else None
 
 
 @cache

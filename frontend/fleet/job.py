@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from airline.errors import AirLineError
 
 if TYPE_CHECKING:
-    from airline.config import DetectorConfig
+    from airline.config import DetectorConfig, Runtime
     from airline.detector import AirLine
-    from airline.runtimes import Runtime
     from frontend.protocols import Sink
     from frontend.settings import RunConfig
 

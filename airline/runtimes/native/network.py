@@ -1,0 +1,99 @@
+"""The runtime "native"."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from airline.image import Gray
+from airline.runtimes.native.memory import Memory, lay_out
+from airline.runtimes.native.phases import go_through, take_in
+from airline.runtimes.native.quantise import quantise
+from airline.runtimes.native.vectors import Isa
+from airline.runtimes.processor import has_vnni, vector_instructions
+from airline.runtimes.sizes import Sizes
+from airline.spec import UNetSpec
+from airline.team import Team, cores
+from airline.weights import load_ranges, load_weights
+
+PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
+LARGEST = 32_767  # 16-bit number
+
+
+class NativeNetwork:
+    """A U-Net in 8-bit numbers, its first layer in 16 bits; see `EdgeNetwork`.
+
+    Args:
+        weights: name of bundled weights, or path of a weights file.
+        threads: at most so many; all cores by default.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        ConfigError: the processor lacks the instructions, or the network is of another kind.
+    """
+
+    def __init__(self, weights: str | Path, threads: int | None = None) -> None:
+        isa = vector_instructions()
+        if isa is None:
+            raise ConfigError("this processor lacks AVX2, which the runtime native needs: use --runtime openvino")
+        self._isa: Isa = isa
+        self._spec, tensors = load_weights(weights)
+        ranges = load_ranges(weights)
+        if not ranges or not _fits(self._spec):
+            raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime openvino")
+        self._quantised = quantise(self._spec, tensors, ranges, 255 if isa[1] else 127)
+        self._team = Team(cores() if threads is None else threads)
+        self._sizes = Sizes(self._memory)
+        self._lock = threading.Lock()
+
+    @property
+    def name(self) -> str:
+        return "native int8"
+
+    def __call__(self, gray: Gray) -> NDArray[np.float32]:
+        mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
+        gain = LARGEST / _most(gray, mean)
+        edges = np.empty(gray.shape, np.float32)
+        marks = np.zeros((2 * self._spec.levels, PARTS + 1), np.int32)
+        crew = self._team.threads
+        with self._lock:
+            memory = self._sizes.of(*gray.shape)
+            memory.first[:] = self._quantised.down[0].factors / (gain * max(deviation, 1.0))
+
+            def join_in(start: int, end: int) -> None:
+                for who in range(start, end):
+                    columns = memory.levels[0, 1]
+                    take_in(gray, np.float32(mean), np.float32(gain), memory.planes, columns, marks, who, crew)
+                    tables = memory.levels, memory.layers, self._quantised.shares, self._quantised.zeros
+                    go_through(self._isa, *tables, memory.scratch, edges, marks, who, crew)
+
+            self._team.share(crew, 1, join_in)
+        return edges
+
+    def _memory(self, height: int, width: int) -> Memory:
+        spec = self._spec
+        rows, columns = (-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))
+        return lay_out(self._quantised, rows, columns, len(self._isa[0]), self._team.threads)
+
+
+def suits(weights: str | Path) -> bool:
+    """Whether this runtime is the best for this processor and these weights; errors of `NativeNetwork`."""
+    return has_vnni() and bool(load_ranges(weights)) and _fits(load_weights(weights)[0])
+
+
+def _fits(spec: UNetSpec) -> bool:
+    """Whether a network is of the kind that this runtime is made for."""
+    return spec.unshuffle == 2 and spec.convs == 1 and spec.levels > 1
+
+
+def _most(gray: Gray, mean: float) -> float:
+    """The farthest that a pixel may lie from the mean."""
+    if gray.dtype == np.uint8:
+        return 255.0
+    least, most, _, _ = cv2.minMaxLoc(gray)
+    return max(most - mean, mean - least, 1.0)

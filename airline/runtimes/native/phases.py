@@ -1,0 +1,142 @@
+"""The network from the image to the edge map, as phases of a crew's work.
+
+The first phase is the input; then comes a level after the other on the way down, each with the largest of each four
+pixels for the next; then on the way up, and the last phase writes the edge map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from airline.compiled import njit
+from airline.runtimes.native.crew import bounds, finish, next_part, wait
+from airline.runtimes.native.image import fill_rows
+from airline.runtimes.native.rows import (
+    PIXEL,
+    add_rows,
+    convolve,
+    convolve_to_floats,
+    convolve_to_logits,
+    fill_pixel,
+    take_largest,
+)
+from airline.runtimes.sigmoid import sigmoid
+
+# columns of the table of levels: rows and columns; from a row to the next, bytes; groups of channels; addresses of what
+# its first layer takes, with a margin of a pixel, and of the maps on the way down and up
+ROWS, COLUMNS, STRIDE, GROUPS, INPUT, DOWN, UP = range(7)
+
+
+@njit()
+def take_in(gray, mean, gain, planes, columns, marks, who, crew):  # type: ignore[no-untyped-def]
+    """Our share of the first phase; compiled for each kind of image."""
+    for turn in range(marks.shape[1] - 1):
+        part = next_part(marks, 0, turn, who, crew)
+        if part >= 0:
+            first, last = bounds(marks, planes.shape[1] - 2, 1, part)
+            fill_rows(gray, mean, gain, planes, columns, first, last)
+            finish(marks, 0)
+    wait(marks, 0)
+
+
+@njit()
+def go_through(isa, levels, layers, shares, zeros, scratch, edges, marks, who, crew):  # type: ignore[no-untyped-def]
+    """Our share of the others.
+
+    Args:
+        isa: see `airline.runtimes.native.vectors`.
+        levels, layers: the tables.
+        shares, zeros: see `airline.runtimes.native.quantise.Quantised`.
+        scratch: (crew, bytes) uint8.
+        edges: (H, W) float32, which is filled.
+        marks: see `airline.runtimes.native.crew`.
+        who, crew: which thread of how many.
+    """
+    count = len(levels)
+    for phase in range(1, 2 * count):
+        level = min(phase - 1, 2 * count - 1 - phase)
+        unit = 2 if phase < count else 1  # pairs of rows make one of the next level
+        for turn in range(marks.shape[1] - 1):
+            part = next_part(marks, phase, turn, who, crew)
+            if part < 0:
+                continue
+            first, last = bounds(marks, levels[level, ROWS], unit, part)
+            if first == last:
+                pass
+            elif phase <= count:
+                _down(isa, levels, layers, level, first, last)
+            else:
+                _up(isa, levels, layers, level, shares[level], zeros[level], first, last, scratch[who], edges)
+            finish(marks, phase)
+        wait(marks, phase)
+
+
+@njit()
+def _down(isa, levels, layers, level, first, last):  # type: ignore[no-untyped-def]
+    size = levels[level]
+    stride, groups = size[STRIDE], size[GROUPS]
+    apart = size[ROWS] * stride
+    for y in range(first, last):
+        target = size[DOWN] + y * stride
+        convolve(isa, layers[level], 0, size[INPUT] + y * stride, target, apart, size[COLUMNS])
+        if level < len(levels) - 1 and y % 2:
+            coarse = levels[level + 1]
+            coarse_apart = (coarse[ROWS] + 2) * coarse[STRIDE]
+            pooled = coarse[INPUT] + (y // 2 + 1) * coarse[STRIDE] + PIXEL
+            take_largest(isa, groups, target - stride, stride, apart, pooled, coarse_apart, coarse[COLUMNS])
+            fill_pixel(pooled + PIXEL * coarse[COLUMNS], coarse_apart, groups, 0)
+
+
+@njit()
+def _up(isa, levels, layers, level, share, zero, first, last, scratch, edges):  # type: ignore[no-untyped-def]
+    count = len(levels)
+    size, coarse = levels[level], levels[level + 1]
+    columns, stride, groups = size[COLUMNS], size[STRIDE], size[GROUPS]
+    # three rows of sums, in turn; a row of what the coarser level adds; at the finest level a row of the last map and
+    # one of logits
+    sums, sums_apart = scratch.ctypes.data, 3 * stride
+    added, added_apart = sums + groups * sums_apart, coarse[STRIDE]
+    last_map = added + 4 * groups * added_apart
+    logits = last_map + groups * stride
+    lateral, up = layers[count + level], layers[2 * count + level]
+    for y in range(first - 1, last + 1):
+        row = sums + (y + 3) % 3 * stride + PIXEL
+        if 0 <= y < size[ROWS]:
+            if y % 2 == 0 or y == first - 1:
+                source = coarse[UP] + y // 2 * coarse[STRIDE]
+                convolve_to_floats(isa, lateral, source, added, added_apart, coarse[COLUMNS])
+            fine = size[DOWN] + y * stride
+            add_rows(isa, groups, fine, size[ROWS] * stride, share, added, added_apart, row, sums_apart, columns)
+            fill_pixel(row - PIXEL, sums_apart, groups, zero)
+            fill_pixel(row + PIXEL * columns, sums_apart, groups, zero)
+        else:
+            for x in range(-1, columns + 1):
+                fill_pixel(row + PIXEL * x, sums_apart, groups, zero)
+        if y <= first:
+            continue
+        middle = y - 1
+        above = (middle - 1) % 3
+        if level:
+            convolve(isa, up, above, sums, size[UP] + middle * stride, size[ROWS] * stride, columns)
+        else:
+            convolve(isa, up, above, sums, last_map, stride, columns)
+            convolve_to_logits(isa, layers[3 * count], last_map, logits, stride, columns)
+            place = logits - sums
+            _write(scratch[place : place + 4 * stride].view(np.float32), middle, columns, edges)
+
+
+@njit()
+def _write(logits, y, columns, edges):  # type: ignore[no-untyped-def]
+    """Two rows of the edge map, from four planes of one row: of left and right upper pixels, and of lower ones."""
+    height, width = edges.shape
+    stride = len(logits) // 4
+    line = np.empty(2 * columns, np.float32)
+    for dy in range(min(2, height - 2 * y)):
+        left, right = logits[2 * dy * stride :], logits[(2 * dy + 1) * stride :]
+        for x in range(columns):
+            line[2 * x] = left[x]
+            line[2 * x + 1] = right[x]
+        sigmoid(line)
+        target = edges[2 * y + dy]
+        for x in range(width):
+            target[x] = line[x]
