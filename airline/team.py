@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
 from queue import Empty, SimpleQueue
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.spin import all_set, changes
 
 T = TypeVar("T")
 MOST = 4  # the work takes a few milliseconds: more threads cost more than they do
+LOOKS = 2000  # for the next piece of work, or for its end; some hundred nanoseconds each
 
 
 class Team:
@@ -29,27 +36,84 @@ class Team:
 
         Args:
             count: of what there is to do.
-            least: parts are not smaller than this: handing one over takes some 50 microseconds (with futures, 120).
+            least: parts are not smaller than this: handing one over takes some 20 microseconds.
             work: must not depend on how the range is divided.
         """
         parts = max(1, min(self.threads, count // least))
-        bounds = [count * part // parts for part in range(parts + 1)]
         if parts == 1:
             return [work(0, count)]
-        todo: SimpleQueue[tuple[int, int]] = SimpleQueue()
-        for start, end in pairwise(bounds):
-            todo.put((start, end))
-        answers: SimpleQueue[tuple[int, Any, BaseException | None]] = SimpleQueue()
-        for _ in range(1, parts):
-            _helpers().put((work, todo, answers))
-        _work(work, todo, answers)
-        done = {}
+        call = _Call(work, [count * part // parts for part in range(parts + 1)])
+        _helpers().help_with(call, parts - 1)
+        return call.finish()
+
+
+class _Call:
+    """A piece of work in parts."""
+
+    def __init__(self, work: Callable[[int, int], Any], bounds: list[int]) -> None:
+        self._work = work
+        self._todo: SimpleQueue[tuple[int, int, int]] = SimpleQueue()
+        for part, (start, end) in enumerate(pairwise(bounds)):
+            self._todo.put((part, start, end))
+        self._answers: list[Any] = [None] * (len(bounds) - 1)
+        self._errors: list[BaseException] = []
+        self._done = np.zeros(len(bounds) - 1, np.int32)
+        self._ends: SimpleQueue[None] = SimpleQueue()  # to sleep for, if need be
+
+    def take_part(self) -> None:
+        """Do parts until none is left: the caller does those that no helper has time for."""
+        while True:
+            try:
+                part, start, end = self._todo.get_nowait()
+            except Empty:
+                return
+            try:
+                self._answers[part] = self._work(start, end)
+            except BaseException as error:
+                self._errors.append(error)
+            self._done[part] = 1
+            self._ends.put(None)
+
+    def finish(self) -> list[Any]:
+        """What there is left to do; then all answers, or an error of any part."""
+        self.take_part()
+        if not all_set(self._done, LOOKS):
+            for _ in self._answers:
+                self._ends.get()
+        if self._errors:
+            raise self._errors[0]
+        return self._answers
+
+
+@dataclass
+class _Helpers:
+    """Threads that take part in calls; they end with the program."""
+
+    calls: SimpleQueue[_Call] = field(default_factory=SimpleQueue)
+    bell: NDArray[np.int32] = field(default_factory=lambda: np.zeros(1, np.int32))  # changes with each call
+    lock: Lock = field(default_factory=Lock)
+    threads: int = 0
+
+    def help_with(self, call: _Call, parts: int) -> None:
+        with self.lock:
+            while self.threads < parts:
+                Thread(target=self._help, name="team", daemon=True).start()
+                self.threads += 1
         for _ in range(parts):
-            start, answer, error = answers.get()
-            if error is not None:
-                raise error
-            done[start] = answer
-        return [done[start] for start in bounds[:-1]]
+            self.calls.put(call)
+        self.bell += 1
+
+    def _help(self) -> None:
+        while True:
+            before = int(self.bell[0])
+            try:
+                call = self.calls.get_nowait()
+            except Empty:
+                if changes(self.bell, before, LOOKS):
+                    continue
+                call = self.calls.get()
+            call.take_part()
+            del call
 
 
 def cores() -> int:
@@ -58,34 +122,8 @@ def cores() -> int:
 
 
 @cache
-def _helpers() -> SimpleQueue[tuple[Any, ...]]:
-    """What is put here, `MOST` - 1 threads do; they end with the program."""
-    calls: SimpleQueue[tuple[Any, ...]] = SimpleQueue()
-    for _ in range(MOST - 1):
-        Thread(target=_help, args=(calls,), name="team", daemon=True).start()
-    return calls
-
-
-def _help(calls: SimpleQueue[tuple[Any, ...]]) -> None:
-    while True:
-        _work(*calls.get())
-
-
-def _work(
-    work: Callable[[int, int], Any],
-    todo: SimpleQueue[tuple[int, int]],
-    answers: SimpleQueue[tuple[int, Any, BaseException | None]],
-) -> None:
-    """Do parts until none is left: the caller does those that no helper has time for."""
-    while True:
-        try:
-            start, end = todo.get_nowait()
-        except Empty:
-            return
-        try:
-            answers.put((start, work(start, end), None))
-        except BaseException as error:
-            answers.put((start, None, error))
+def _helpers() -> _Helpers:
+    return _Helpers()
 
 
 ALONE = Team(1)

@@ -9,7 +9,8 @@ from typing import Any
 
 from numba.core import cgutils, types
 
-from airline.runtimes.native.vectors import F32, I32, I64, Vectors, intrinsic
+from airline.runtimes.native.vectors import F32, I32, I64, Vectors
+from airline.spin import intrinsic
 
 AT_ONCE = 8  # totals, where there are 16 registers, not 32 as with AVX-512
 

@@ -10,9 +10,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils
-from numba.core.extending import intrinsic as numba_intrinsic
 
-intrinsic: Any = numba_intrinsic  # its type would be that of the emitting function, not of what numba makes of it
 I8, I16, I32, I64, F32 = ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntType(64), ir.FloatType()
 
 # Numba compiles anew for tuples of other lengths. The first one's is the number of 32-bit lanes; the second one is
