@@ -53,7 +53,7 @@ def _join(moments, longest_first, owner, max_gap, max_offset, min_cos):  # type:
                     break
 
 
-@njit()
+@njit(inline="always")
 def _look_up(ends):  # type: ignore[no-untyped-def]
     """The ends in each cell as linked lists: each cell's first one, and the one that follows each, -1 for none."""
     rows, columns = 1, 1
@@ -73,7 +73,7 @@ def _cell(place):  # type: ignore[no-untyped-def]
     return int(max(place, 0.0) / CELL)
 
 
-@njit()
+@njit(inline="always")
 def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
     """The nearest collinear part beyond one end of part i, or -1."""
     mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
@@ -101,7 +101,7 @@ def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max
     return best
 
 
-@njit()
+@njit(inline="always")
 def _extend(moments, axes, i, j):  # type: ignore[no-untyped-def]
     """Set the end points of part i to the outermost projections of both parts' end points on the joint line."""
     mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]

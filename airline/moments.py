@@ -114,7 +114,7 @@ def _fit_regions(positions, weights, rows, begins, max_deviation):  # type: igno
     return bounds[:count].copy(), moments[:count].copy()
 
 
-@njit()
+@njit(inline="always")
 def _take(positions, weights, rows, start, size, points):  # type: ignore[no-untyped-def]
     """Bring the pixels of a part together."""
     for k in range(size):
@@ -150,7 +150,7 @@ def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit()
+@njit(inline="always")
 def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
     """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
     are left out.
@@ -182,7 +182,7 @@ def _farthest(points, size, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
     return worst
 
 
-@njit()
+@njit(inline="always")
 def _beyond_margins(along, size):  # type: ignore[no-untyped-def]
     """The least and the greatest place but for `MARGIN - 1` at each end."""
     low, high = np.full(MARGIN, np.inf), np.full(MARGIN, -np.inf)  # sorted, the middle of the line last
@@ -196,7 +196,7 @@ def _beyond_margins(along, size):  # type: ignore[no-untyped-def]
     return low[MARGIN - 1], high[MARGIN - 1]
 
 
-@njit()
+@njit(inline="always")
 def _divide(rows, start, along, size, place):  # type: ignore[no-untyped-def]
     """Put the rows of the pixels before a place along a region's line first; returns how many there are."""
     kept = 0

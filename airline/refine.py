@@ -91,8 +91,8 @@ def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-unty
         # normal equations of offset = shift + turn * t, t from -1/2 to 1/2 along the line; the priors make them regular
         s00, s01, s11, m0, m1 = PRIOR**-2.0, 0.0, 0.25 * PRIOR**-2.0, 0.0, 0.0
         for k in range(chunks):
-            inside = _inside(width, height, x0, y0, apart * ux, apart * uy, k * each, (k + 1) * each)
-            offset, variance = _chunk(work, count, *inside)
+            first, last = _inside(width, height, x0, y0, apart * ux, apart * uy, k * each, (k + 1) * each)
+            offset, variance = _chunk(work, count, first, last)
             if variance >= 0:
                 weight, t = 1 / (variance + CHUNK_ERROR**2), (k + 0.5) / chunks - 0.5
                 s00 += weight
@@ -109,7 +109,7 @@ def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-unty
                 line[end, 1] = min(max(line[end, 1] + offset * ux, -0.5), height - 0.5)
 
 
-@njit()
+@njit(inline="always")
 def _inside(width, height, x, y, dx, dy, start, end):  # type: ignore[no-untyped-def]
     """Those of a line's samples `start` to `end` whose whole profile lies in the image: the first, and the last + 1."""
     while start < end and not _has_profile(width, height, x + start * dx, y + start * dy):
@@ -119,12 +119,12 @@ def _inside(width, height, x, y, dx, dy, start, end):  # type: ignore[no-untyped
     return start, end
 
 
-@njit()
+@njit(inline="always")
 def _has_profile(width, height, x, y):  # type: ignore[no-untyped-def]
     return (MARGIN <= x < width - 1 - MARGIN) and (MARGIN <= y < height - 1 - MARGIN)
 
 
-@njit()
+@njit(inline="always")
 def _chunk(levels, count, start, end):  # type: ignore[no-untyped-def]
     """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told.
 

@@ -15,14 +15,14 @@ from airline.spin import add_one, let_others_run, look, swap_in_one
 PATIENCE = 2000  # looks at what is not done yet, before other programs may have the core
 
 
-@njit()
+@njit(inline="always")
 def bounds(marks, rows, unit, part):  # type: ignore[no-untyped-def]
     """First and last + 1 of the rows of a part; parts begin at multiples of `unit`, and may be empty."""
     parts, units = marks.shape[1] - 1, -(-rows // unit)
     return units * part // parts * unit, min(units * (part + 1) // parts * unit, rows)
 
 
-@njit()
+@njit(inline="always")
 def next_part(marks, phase, turn, who, crew):  # type: ignore[no-untyped-def]
     """The part that thread `who` of `crew` comes to in its `turn`, if it is ours now; else -1."""
     parts = marks.shape[1] - 1
@@ -30,13 +30,13 @@ def next_part(marks, phase, turn, who, crew):  # type: ignore[no-untyped-def]
     return part if swap_in_one(marks[phase, part + 1 :].ctypes.data) == 0 else -1
 
 
-@njit()
+@njit(inline="always")
 def finish(marks, phase):  # type: ignore[no-untyped-def]
     """A part of ours is done."""
     add_one(marks[phase:].ctypes.data)
 
 
-@njit()
+@njit(inline="always")
 def wait(marks, phase):  # type: ignore[no-untyped-def]
     """Until all parts of a phase are done."""
     address, looks = marks[phase:].ctypes.data, 0

@@ -12,7 +12,7 @@ from airline.runtimes.smooth import box_mean
 QUARTER, HALF = np.float32(0.25), np.float32(0.5)
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, inline="always")
 def fill_rows(gray: Any, mean: Any, gain: Any, planes: Any, columns: int, first: int, last: int) -> None:
     """Fill rows `first` to `last` of the first layer's input.
 

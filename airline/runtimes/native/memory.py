@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from airline.runtimes.native.quantise import Layer, Quantised
 from airline.runtimes.native.rows import PIXEL
+from airline.runtimes.native.vectors import TILE
 
 Terms = list[list[int]]
 
@@ -36,13 +37,12 @@ class Memory:
     kept: list[NDArray[Any]]
 
 
-def lay_out(quantised: Quantised, rows: int, columns: int, lanes: int, threads: int) -> Memory:
+def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memory:
     """Memory for a network.
 
     Args:
         quantised: its layers.
         rows, columns: of the finest level; multiples of 2 to the number of coarser ones.
-        lanes: of a vector.
         threads: how many work on it.
     """
     kept: list[NDArray[Any]] = []
@@ -52,9 +52,9 @@ def lay_out(quantised: Quantised, rows: int, columns: int, lanes: int, threads: 
         return array.ctypes.data
 
     count = len(quantised.down)
-    # whole vectors, one more that is read beyond them, and the margin; a multiple of 64 bytes
+    # whole tiles, another one that is read beyond them, and the margin
     widths = [columns >> level for level in range(count)]
-    strides = [PIXEL * 16 * -(-(-(-width // lanes) * lanes + lanes + 2) // 16) for width in widths]
+    strides = [PIXEL * TILE * (-(-width // TILE) + 2) for width in widths]
     groups = [2 * len(layer.weights) for layer in quantised.down]
     levels = np.zeros((count, 7), np.int64)
     for level, (width, stride) in enumerate(zip(widths, strides, strict=True)):

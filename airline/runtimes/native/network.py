@@ -78,7 +78,7 @@ class NativeNetwork:
     def _memory(self, height: int, width: int) -> Memory:
         spec = self._spec
         rows, columns = (-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))
-        return lay_out(self._quantised, rows, columns, len(self._isa[0]), self._team.threads)
+        return lay_out(self._quantised, rows, columns, self._team.threads)
 
 
 def suits(weights: str | Path) -> bool:

@@ -27,7 +27,7 @@ from airline.runtimes.sigmoid import sigmoid
 ROWS, COLUMNS, STRIDE, GROUPS, INPUT, DOWN, UP = range(7)
 
 
-@njit()
+@njit(fastmath=True)
 def take_in(gray, mean, gain, planes, columns, marks, who, crew):  # type: ignore[no-untyped-def]
     """Our share of the first phase; compiled for each kind of image."""
     for turn in range(marks.shape[1] - 1):
@@ -71,7 +71,7 @@ def go_through(isa, levels, layers, shares, zeros, scratch, edges, marks, who, c
         wait(marks, phase)
 
 
-@njit()
+@njit(inline="always")
 def _down(isa, levels, layers, level, first, last):  # type: ignore[no-untyped-def]
     size = levels[level]
     stride, groups = size[STRIDE], size[GROUPS]
@@ -87,7 +87,7 @@ def _down(isa, levels, layers, level, first, last):  # type: ignore[no-untyped-d
             fill_pixel(pooled + PIXEL * coarse[COLUMNS], coarse_apart, groups, 0)
 
 
-@njit()
+@njit(inline="always")
 def _up(isa, levels, layers, level, share, zero, first, last, scratch, edges):  # type: ignore[no-untyped-def]
     count = len(levels)
     size, coarse = levels[level], levels[level + 1]
@@ -125,7 +125,7 @@ def _up(isa, levels, layers, level, share, zero, first, last, scratch, edges):  
             _write(scratch[place : place + 4 * stride].view(np.float32), middle, columns, edges)
 
 
-@njit()
+@njit(inline="always")
 def _write(logits, y, columns, edges):  # type: ignore[no-untyped-def]
     """Two rows of the edge map, from four planes of one row: of left and right upper pixels, and of lower ones."""
     height, width = edges.shape

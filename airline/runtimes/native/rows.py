@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from airline.compiled import njit
-from airline.runtimes.native.tiles import (
-    add_coarse,
-    bytes_one,
-    bytes_two,
-    fill,
-    floats_one,
-    head_one,
-    pool,
-    words_one,
-    words_two,
-)
+from airline.runtimes.native.tiles import add_coarse, chars, fill, floats, head, pool, words
+from airline.runtimes.native.vectors import TILE
 
 # columns of the table of layers: addresses of weights, factors, offsets and terms; how many terms; how many blocks of
 # outputs; whether it takes 16-bit numbers
@@ -33,69 +24,62 @@ def convolve(isa, layer, turn, source, target, apart, columns):  # type: ignore[
         source: what the terms are added to for the first pixel.
         target: of the answer's first group.
         apart: from a group to the next.
-        columns: how many pixels; what is written beyond them, up to the next whole vector, means nothing.
+        columns: how many pixels; what is written beyond them, up to the next whole tile, means nothing.
     """
-    lanes, count = len(isa[0]), layer[COUNT]
+    count = layer[COUNT]
     terms = layer[TERMS] + 8 * turn * count
     for block in range(layer[BLOCKS]):
         weights = layer[WEIGHTS] + block * BLOCK * PIXEL * count
         factors, offsets = layer[FACTORS] + 4 * BLOCK * block, layer[OFFSETS] + 4 * BLOCK * block
         out = target + BLOCK // 4 * block * apart
-        x = 0
-        while x < columns:
+        for x in range(0, columns, TILE):
             here, there = source + PIXEL * x, out + PIXEL * x
-            if x + lanes < columns:
-                if layer[WORDS]:
-                    words_two(isa, here, terms, count, weights, factors, offsets, there, apart)
-                else:
-                    bytes_two(isa, here, terms, count, weights, factors, offsets, there, apart)
-            elif layer[WORDS]:
-                words_one(isa, here, terms, count, weights, factors, offsets, there, apart)
+            if layer[WORDS]:
+                words(isa, here, terms, count, weights, factors, offsets, there, apart)
             else:
-                bytes_one(isa, here, terms, count, weights, factors, offsets, there, apart)
-            x += 2 * lanes
+                chars(isa, here, terms, count, weights, factors, offsets, there, apart)
 
 
-@njit()
+@njit(inline="always")
 def convolve_to_floats(isa, layer, source, target, apart, columns):  # type: ignore[no-untyped-def]
     """A convolution, answered as a plane of floats for each channel; arguments as for `convolve`."""
     for block in range(layer[BLOCKS]):
         weights = layer[WEIGHTS] + block * BLOCK * PIXEL * layer[COUNT]
         factors, offsets = layer[FACTORS] + 4 * BLOCK * block, layer[OFFSETS] + 4 * BLOCK * block
         out = target + BLOCK * block * apart
-        for x in range(0, columns, len(isa[0])):
+        for x in range(0, columns, TILE):
             here, there = source + PIXEL * x, out + PIXEL * x
-            floats_one(isa, here, layer[TERMS], layer[COUNT], weights, factors, offsets, there, apart)
+            floats(isa, here, layer[TERMS], layer[COUNT], weights, factors, offsets, there, apart)
 
 
-@njit()
+@njit(inline="always")
 def convolve_to_logits(isa, layer, source, target, apart, columns):  # type: ignore[no-untyped-def]
     """The last layer, answered as four planes of floats; arguments as for `convolve`."""
-    for x in range(0, columns, len(isa[0])):
+    for x in range(0, columns, TILE):
         here, there = source + PIXEL * x, target + PIXEL * x
-        head_one(isa, here, layer[TERMS], layer[COUNT], layer[WEIGHTS], layer[FACTORS], layer[OFFSETS], there, apart)
+        head(isa, here, layer[TERMS], layer[COUNT], layer[WEIGHTS], layer[FACTORS], layer[OFFSETS], there, apart)
 
 
-@njit()
+@njit(inline="always")
 def take_largest(isa, groups, upper, stride, apart, target, target_apart, columns):  # type: ignore[no-untyped-def]
     """A row of the coarser level: of each four pixels of two rows, `stride` from each other, the largest."""
     for group in range(groups):
-        for x in range(0, columns, len(isa[0])):
+        for x in range(0, columns, TILE):
             here = upper + group * apart + 2 * PIXEL * x
             pool(isa, here, here + stride, target + group * target_apart + PIXEL * x)
 
 
-@njit()
+@njit(inline="always")
 def add_rows(isa, groups, fine, fine_apart, share, coarse, coarse_apart, target, apart, columns):  # type: ignore[no-untyped-def]
     """A row of a level's map, times `share`, plus the coarser level's floats, each of which counts for two pixels."""
     for group in range(groups):
-        for x in range(0, columns, len(isa[0])):
+        for x in range(0, columns, TILE):
             here = fine + group * fine_apart + PIXEL * x
             there = coarse + 4 * group * coarse_apart + PIXEL * x // 2
             add_coarse(isa, here, share, there, coarse_apart, target + group * apart + PIXEL * x)
 
 
-@njit()
+@njit(inline="always")
 def fill_pixel(target, apart, groups, value):  # type: ignore[no-untyped-def]
     """Set all channels of a pixel."""
     for group in range(groups):

@@ -1,4 +1,4 @@
-"""What is done to one or two vectors of neighbouring pixels; numba compiles these into their callers.
+"""What is done to `TILE` neighbouring pixels at once; numba compiles these into their callers.
 
 All arguments but `isa` are addresses and counts; see `airline.runtimes.native.vectors`.
 """
@@ -12,10 +12,8 @@ from numba.core import cgutils, types
 from airline.runtimes.native.vectors import F32, I32, I64, Vectors
 from airline.spin import intrinsic
 
-AT_ONCE = 8  # totals, where there are 16 registers, not 32 as with AVX-512
 
-
-def _convolution(dot: str, outputs: int, vectors: int, to_bytes: bool) -> Any:
+def _convolution(dot: str, outputs: int, to_bytes: bool) -> Any:
     @intrinsic
     def tile(context, isa, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
         """Answer some channels.
@@ -33,18 +31,20 @@ def _convolution(dot: str, outputs: int, vectors: int, to_bytes: bool) -> Any:
         def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             v = Vectors(builder, isa)
             _, source, terms, count, weights, factors, offsets, target, apart = arguments
-            few = outputs if v.lanes == 16 else min(outputs, AT_ONCE // vectors)
-            for first in range(0, outputs, few):
-                place = v.after(weights, 4 * first)
-                totals = _totals(v, dot, few, vectors, source, terms, count, place, 4 * outputs)
+            at_once = v.totals // v.count
+            for first in range(0, outputs, at_once):
+                few = range(first, min(first + at_once, outputs))
+                totals = _totals(v, dot, few, outputs, source, terms, count, weights)
                 answers = [
-                    _answers(v, row, v.after(factors, 4 * (first + n)), v.after(offsets, 4 * (first + n)))
-                    for n, row in enumerate(totals)
+                    _answers(v, row, v.after(factors, 4 * n), v.after(offsets, 4 * n))
+                    for n, row in zip(few, totals, strict=True)
                 ]
-                for n in range(0, few, 4 if to_bytes else 1):
-                    for k in range(vectors):
-                        value = v.bytes_of([answers[n + c][k] for c in range(4)]) if to_bytes else answers[n][k]
-                        v.store(value, v.after(target, 4 * v.lanes * k))
+                if to_bytes:
+                    fours = [answers[n : n + 4] for n in range(0, len(few), 4)]
+                    answers = [[v.bytes_of(four) for four in zip(*rows, strict=True)] for rows in fours]
+                for row in answers:
+                    for k, vector in enumerate(row):
+                        v.store(vector, v.after(target, v.size * k))
                     target = builder.add(target, apart)
             return context.get_dummy_value()
 
@@ -54,20 +54,20 @@ def _convolution(dot: str, outputs: int, vectors: int, to_bytes: bool) -> Any:
 
 
 def _totals(
-    v: Vectors, dot: str, outputs: int, vectors: int, source: Any, terms: Any, count: Any, weights: Any, apart: int
+    v: Vectors, dot: str, few: range, outputs: int, source: Any, terms: Any, count: Any, weights: Any
 ) -> list[list[Any]]:
-    """By output and vector; `apart`: from the weights of a term to those of the next, bytes."""
+    """Of a few of the outputs; by output and vector."""
     builder = v.builder
-    slots = [[v.slot() for _ in range(vectors)] for _ in range(outputs)]
+    slots = [[v.slot() for _ in range(v.count)] for _ in few]
     with cgutils.for_range(builder, count) as loop:
         place = builder.add(source, v.load(builder.add(terms, builder.mul(loop.index, I64(8))), I64))
-        pixels = [v.load(v.after(place, 4 * v.lanes * k), v.ints) for k in range(vectors)]
-        row = builder.add(weights, builder.mul(loop.index, I64(apart)))
-        for n in range(outputs):
+        pixels = [v.load(v.after(place, v.size * k), v.ints) for k in range(v.count)]
+        row = builder.add(weights, builder.mul(loop.index, I64(4 * outputs)))
+        for n, of_output in zip(few, slots, strict=True):
             weight = v.splat(v.load(v.after(row, 4 * n), I32))
-            for slot, pixel in zip(slots[n], pixels, strict=True):
+            for pixel, slot in zip(pixels, of_output, strict=True):
                 builder.store(getattr(v, dot)(builder.load(slot), pixel, weight), slot)
-    return [[builder.load(slot) for slot in row] for row in slots]
+    return [[builder.load(slot) for slot in of_output] for of_output in slots]
 
 
 def _answers(v: Vectors, totals: list[Any], factor: Any, offset: Any) -> list[Any]:
@@ -75,10 +75,8 @@ def _answers(v: Vectors, totals: list[Any], factor: Any, offset: Any) -> list[An
     return [v.multiply_add(v.builder.sitofp(total, v.floats), factor, offset) for total in totals]
 
 
-words_two, words_one = _convolution("dot_words", 8, 2, True), _convolution("dot_words", 8, 1, True)
-bytes_two, bytes_one = _convolution("dot_bytes", 8, 2, True), _convolution("dot_bytes", 8, 1, True)
-floats_one = _convolution("dot_bytes", 8, 1, False)
-head_one = _convolution("dot_bytes", 4, 1, False)
+words, chars = _convolution("dot_words", 8, True), _convolution("dot_bytes", 8, True)
+floats, head = _convolution("dot_bytes", 8, False), _convolution("dot_bytes", 4, False)
 
 
 @intrinsic
@@ -88,15 +86,18 @@ def pool(context, isa, upper, lower, target):  # type: ignore[no-untyped-def]
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         v = Vectors(builder, isa)
         _, upper, lower, target = arguments
-        halves = []
-        for k in range(2):
-            rows = [v.load(v.after(row, 4 * v.lanes * k), v.chars) for row in (upper, lower)]
-            halves.append(builder.bitcast(v.greater(*rows), v.ints))
-        left, right = halves
-        columns = [
-            builder.bitcast(v.pick(left, right, list(range(first, 2 * v.lanes, 2))), v.chars) for first in range(2)
-        ]
-        v.store(v.greater(*columns), target)
+
+        def larger(a: Any, b: Any) -> Any:
+            return v.greater(builder.bitcast(a, v.chars), builder.bitcast(b, v.chars))
+
+        def of_rows(k: int) -> Any:
+            a, b = (v.load(v.after(row, v.size * k), v.ints) for row in (upper, lower))
+            return builder.bitcast(larger(a, b), v.ints)
+
+        for k in range(v.count):
+            left, right = of_rows(2 * k), of_rows(2 * k + 1)
+            even, odd = (v.pick(left, right, range(first, 2 * v.lanes, 2)) for first in range(2))
+            v.store(larger(even, odd), v.after(target, v.size * k))
         return context.get_dummy_value()
 
     return types.void(isa, *[types.int64] * 3), emit
@@ -112,15 +113,16 @@ def add_coarse(context, isa, fine, share, coarse, apart, target):  # type: ignor
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         v = Vectors(builder, isa)
         _, fine, share, coarse, apart, target = arguments
-        pixels, share = v.load(fine, v.ints), v.splat(share)
-        byte, twice = v.ints([255] * v.lanes), [k // 2 for k in range(v.lanes)]
-        sums = []
-        for c in range(4):
-            few = v.load(coarse, v.half_of_floats)
-            channel = builder.and_(builder.lshr(pixels, v.ints([8 * c] * v.lanes)), byte)
-            sums.append(v.multiply_add(builder.sitofp(channel, v.floats), share, v.pick(few, few, twice)))
-            coarse = builder.add(coarse, apart)
-        v.store(v.bytes_of(sums), target)
+        share = v.splat(share)
+        for k in range(v.count):
+            pixels, there = v.load(v.after(fine, v.size * k), v.ints), v.after(coarse, v.size // 2 * k)
+            sums = []
+            for channel in range(4):
+                few = v.load(there, v.half_of_floats)
+                added = v.pick(few, few, [lane // 2 for lane in range(v.lanes)])
+                sums.append(v.multiply_add(builder.sitofp(v.byte(pixels, channel), v.floats), share, added))
+                there = builder.add(there, apart)
+            v.store(v.bytes_of(sums), v.after(target, v.size * k))
         return context.get_dummy_value()
 
     return types.void(isa, types.int64, types.float32, *[types.int64] * 3), emit

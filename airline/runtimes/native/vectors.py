@@ -6,12 +6,15 @@ holds a group of 8 or 16 neighbouring pixels, and one instruction multiplies and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils
 
 I8, I16, I32, I64, F32 = ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntType(64), ir.FloatType()
+
+TILE = 16  # pixels that are treated at once, in one vector or two
 
 # Numba compiles anew for tuples of other lengths. The first one's is the number of 32-bit lanes; the second one is
 # empty without VNNI, whose instructions multiply and add at once: then the numbers of maps have 7 bits, since two
@@ -29,6 +32,8 @@ class Vectors:
         """For a builder, and numba's type of an `Isa`."""
         lanes, fused = isa
         self.builder, self.lanes, self.fused = builder, len(lanes), bool(len(fused))
+        self.size, self.count = 4 * self.lanes, TILE // self.lanes  # bytes of a vector, vectors of a tile
+        self.totals = 16 if self.lanes == 16 else 8  # that leave enough of 32 or 16 registers
         self.ints = ir.VectorType(I32, self.lanes)
         self.floats = ir.VectorType(F32, self.lanes)
         self.half_of_floats = ir.VectorType(F32, self.lanes // 2)
@@ -55,13 +60,18 @@ class Vectors:
         one = self.builder.insert_element(kind(ir.Undefined), scalar, I32(0))
         return self.pick(one, one, [0] * self.lanes)
 
-    def pick(self, first: Any, second: Any, order: list[int]) -> Any:
+    def pick(self, first: Any, second: Any, order: Sequence[int]) -> Any:
         """Lanes of two vectors, by their numbers."""
-        return self.builder.shuffle_vector(first, second, ir.VectorType(I32, len(order))(order))
+        return self.builder.shuffle_vector(first, second, ir.VectorType(I32, len(order))(list(order)))
 
     def greater(self, a: Any, b: Any) -> Any:
         """The greater of unsigned numbers."""
         return self.builder.select(self.builder.icmp_unsigned(">", a, b), a, b)
+
+    def byte(self, ints: Any, number: int) -> Any:
+        """Byte 0 to 3 of each lane."""
+        shift, mask = (self.ints([value] * self.lanes) for value in (8 * number, 255))
+        return self.builder.and_(self.builder.lshr(ints, shift), mask)
 
     def multiply_add(self, a: Any, b: Any, c: Any) -> Any:
         """a * b + c of floats."""
@@ -81,7 +91,7 @@ class Vectors:
             return self._call(f"llvm.x86.avx512.vpdpwssd.{32 * self.lanes}", self.ints, total, pixels, weights)
         return self._dot(total, *(self.builder.bitcast(each, self.words) for each in (pixels, weights)))
 
-    def bytes_of(self, channels: list[Any]) -> Any:
+    def bytes_of(self, channels: Sequence[Any]) -> Any:
         """Four vectors of floats, one per channel, cut to unsigned bytes, those of a pixel together; saturated."""
         a, b, c, d = (self.builder.fptosi(channel, self.ints) for channel in channels)
         family, suffix = ("avx512", ".512") if self.lanes == 16 else ("avx2", "")
