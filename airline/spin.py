@@ -83,10 +83,16 @@ def all_set(flags, looks):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def changes(number, before, looks):  # type: ignore[no-untyped-def]
-    """Whether an array's first int32 becomes another before we have looked so often."""
+def set_and_watch(flag, number, before, looks, grace):  # type: ignore[no-untyped-def]
+    """Set a flag; then tell whether a number becomes another before we have looked so often.
+
+    Both are the first int32 of an array. Where the number changes, we wait for as long as `grace` more looks take.
+    """
+    add_one(flag.ctypes.data)
     address = number.ctypes.data
     while look(address) == before and looks > 0:
         looks -= 1
+        let_others_run()
+    for _ in range(grace if looks else 0):
         let_others_run()
     return looks > 0

@@ -14,11 +14,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.spin import all_set, changes
+from airline.spin import all_set, set_and_watch
 
 T = TypeVar("T")
 MOST = 4  # the work takes a few milliseconds: more threads cost more than they do
 LOOKS = 2000  # for the next piece of work, or for its end; some hundred nanoseconds each
+GRACE = 10  # looks until who hands work over has begun its own part, and with that lets go of Python's lock
 
 
 class Team:
@@ -60,23 +61,29 @@ class _Call:
         self._done = np.zeros(len(bounds) - 1, np.int32)
         self._ends: SimpleQueue[None] = SimpleQueue()  # to sleep for, if need be
 
-    def take_part(self) -> None:
-        """Do parts until none is left: the caller does those that no helper has time for."""
+    def take_part(self) -> NDArray[np.int32]:
+        """Do parts until none is left: the caller does those that no helper has time for.
+
+        Returns:
+            (1,) of which the setting to 1 tells the caller that all of ours are done.
+        """
+        flag = np.zeros(1, np.int32)
         while True:
             try:
                 part, start, end = self._todo.get_nowait()
             except Empty:
-                return
+                return flag
+            flag[0] = 1
             try:
                 self._answers[part] = self._work(start, end)
             except BaseException as error:
                 self._errors.append(error)
-            self._done[part] = 1
             self._ends.put(None)
+            flag = self._done[part : part + 1]
 
     def finish(self) -> list[Any]:
         """What there is left to do; then all answers, or an error of any part."""
-        self.take_part()
+        self.take_part()[0] = 1
         if not all_set(self._done, LOOKS):
             for _ in self._answers:
                 self._ends.get()
@@ -104,16 +111,16 @@ class _Helpers:
         self.bell += 1
 
     def _help(self) -> None:
+        flag = np.zeros(1, np.int32)
         while True:
             before = int(self.bell[0])
-            try:
-                call = self.calls.get_nowait()
-            except Empty:
-                if changes(self.bell, before, LOOKS):
+            if self.calls.empty():
+                # the flag is set without Python's lock, which the caller needs as soon as it sees it
+                if set_and_watch(flag, self.bell, before, LOOKS, GRACE):
                     continue
-                call = self.calls.get()
-            call.take_part()
-            del call
+            else:
+                flag[0] = 1
+            flag = self.calls.get().take_part()
 
 
 def cores() -> int:

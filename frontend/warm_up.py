@@ -1,7 +1,7 @@
 """Everything compiled and loaded before the first frame.
 
 On a machine's first start the compiler takes most of the time. It does one thing at a time within a process, so another
-process compiles about half of it into the cache, the second half of the line fit and the tracker, while the rest is
+process compiles about half of it into the cache, the last steps of the detector and the tracker, while the rest is
 compiled here; or all of it, while the renderer of the built-in clip is compiled here.
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from airline.detector import AirLine
 from airline.lines import LineSet
 from airline.team import cores
-from airline.warm_up import compile_choice_of_lines
+from airline.warm_up import compile_last_steps
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig
@@ -118,7 +118,7 @@ def _made_up() -> tuple[NDArray[np.uint8], LineSet]:
 
 if __name__ == "__main__":
     with _few_collections():
-        compile_choice_of_lines()
+        compile_last_steps()
         image, lines = _made_up()
         _track(TrackerConfig(), image, lines)
         print("half", flush=True)

@@ -6,7 +6,7 @@ import multiprocessing
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import AirLine
@@ -14,6 +14,7 @@ from airline.team import MOST, Team
 from frontend.sources.scene import SceneSource
 
 
+@settings(deadline=None)  # the first time, the waiting is compiled
 @given(threads=st.integers(-1, 9), count=st.integers(0, 1000), least=st.integers(1, 300))
 def test_every_piece_is_done_once_and_in_order(threads: int, count: int, least: int) -> None:
     parts = Team(threads).share(count, least, lambda start, end: list(range(start, end)))
