@@ -44,7 +44,7 @@ def fill_rows(gray: Any, mean: Any, gain: Any, planes: Any, columns: int, first:
             if first <= y < last:
                 target = planes[dy, y + 1, 1:].reshape(-1)
                 for x in range(2 * columns):
-                    target[x] = np.int16(line[x])
+                    target[x] = np.int16(np.rint(line[x]))
         row, upper, lower = means[y - start], lines[0], lines[1]
         for x in range(columns):
             row[x] = (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1]) * QUARTER
@@ -55,4 +55,4 @@ def fill_rows(gray: Any, mean: Any, gain: Any, planes: Any, columns: int, first:
         for y in range(first, last):
             row, target = means[y - start], planes[group, y + 1, 1:].reshape(-1)
             for x in range(columns):
-                target[2 * x + place] = np.int16(row[x])
+                target[2 * x + place] = np.int16(np.rint(row[x]))

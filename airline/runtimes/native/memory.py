@@ -59,7 +59,8 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
     levels = np.zeros((count, 7), np.int64)
     for level, (width, stride) in enumerate(zip(widths, strides, strict=True)):
         high = rows >> level
-        taken = np.zeros((quantised.down[level].weights.shape[1], high + 2, stride), np.uint8)
+        taken_groups = groups[level - 1] if level else quantised.down[0].weights.shape[1]
+        taken = np.zeros((taken_groups, high + 2, stride), np.uint8)
         if level == 0:
             planes = taken.view(np.int16).reshape(*taken.shape[:2], -1, 2)
         down = np.zeros((groups[level], high, stride), np.uint8)

@@ -13,16 +13,15 @@ from airline.errors import ConfigError
 from airline.image import Gray
 from airline.runtimes.native.memory import Memory, lay_out
 from airline.runtimes.native.phases import go_through, take_in
-from airline.runtimes.native.quantise import quantise
+from airline.runtimes.native.quantise import LARGEST, quantise
 from airline.runtimes.native.vectors import Isa
-from airline.runtimes.processor import has_vnni, vector_instructions
+from airline.runtimes.processor import vector_instructions
 from airline.runtimes.sizes import Sizes
 from airline.spec import UNetSpec
 from airline.team import Team, cores
 from airline.weights import load_ranges, load_weights
 
 PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
-LARGEST = 32_767  # 16-bit number
 
 
 class NativeNetwork:
@@ -46,7 +45,7 @@ class NativeNetwork:
         ranges = load_ranges(weights)
         if not ranges or not _fits(self._spec):
             raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime openvino")
-        self._quantised = quantise(self._spec, tensors, ranges, 255 if isa[1] else 127)
+        self._quantised = quantise(self._spec, tensors, ranges, 127 if isa[1] else 63)
         self._team = Team(cores() if threads is None else threads)
         self._sizes = Sizes(self._memory)
         self._lock = threading.Lock()
@@ -83,7 +82,7 @@ class NativeNetwork:
 
 def suits(weights: str | Path) -> bool:
     """Whether this runtime is the best for this processor and these weights; errors of `NativeNetwork`."""
-    return has_vnni() and bool(load_ranges(weights)) and _fits(load_weights(weights)[0])
+    return vector_instructions() is not None and bool(load_ranges(weights)) and _fits(load_weights(weights)[0])
 
 
 def _fits(spec: UNetSpec) -> bool:

@@ -13,6 +13,8 @@ from airline.spec import UNetSpec
 from airline.weights import Ranges
 
 LEAST = 1e-9  # a range must not be empty, as that of a map of zeros would be
+MOST = 255  # in a map
+ROUNDING = 0.5  # added to answers, which are then cut off
 LARGEST = 32_767  # 16-bit number
 WORDS = 65_000  # sum of a channel's 16-bit weights: with any 16-bit input the products add up to less than 2 ** 31
 
@@ -50,76 +52,74 @@ class Quantised:
     zeros: NDArray[np.int64]
 
 
-def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges: Ranges, most: int) -> Quantised:
+def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges: Ranges, largest: int) -> Quantised:
     """Whole numbers for a network.
 
     Args:
         spec, weights: see `airline.weights.load_weights`.
         ranges: see `airline.weights.load_ranges`.
-        most: the largest number of a map, 255 or 127.
+        largest: of the 8-bit weights, at most 127.
     """
-    last = spec.levels - 1
-    units = [_high(ranges[f"down.{level + 1}.0"]) / most for level in range(last)]  # of the maps on the way down
-    units.append(_high(ranges[f"lateral.{last - 1}"]) / most)
-    up_units = [_high(ranges["head" if level == 0 else f"lateral.{level - 1}"]) / most for level in range(last)]
+    layers, last = _Layers(weights, largest), spec.levels - 1
+    # what 1 in each map stands for: on the way down, and, from the next but one layer's point of view, on the way up
+    units = [_unit(0, ranges[f"down.{level + 1}.0"][1]) for level in range(last)]
+    units.append(_unit(0, ranges[f"lateral.{last - 1}"][1]))
+    up_units = [_unit(0, ranges["head" if level == 0 else f"lateral.{level - 1}"][1]) for level in range(last)]
     up_units.append(units[last])
-    down = [_words(weights, "down.0.0", spec.unshuffle**2, units[0])]
-    down += [_bytes(weights, f"down.{k + 1}.0", units[k], 0, units[k + 1]) for k in range(last)]
+    down = [layers.of_words("down.0.0", spec.unshuffle**2, units[0])]
+    down += [layers.of_bytes(f"down.{level + 1}.0", units[level], units[level + 1]) for level in range(last)]
     lateral, up, shares, zeros = [], [], [], []
     for level in range(last):
         low, high = ranges[f"up.{level}.0"]
-        low, high = min(low, 0.0), max(high, LEAST)
-        unit = (high - low) / most
-        zero = round(-low / unit)
-        coarse = _bytes(weights, f"lateral.{level}", up_units[level + 1], 0, unit)
-        lateral.append(Layer(coarse.weights, coarse.factors, coarse.offsets + np.float32(zero)))
-        up.append(_bytes(weights, f"up.{level}.0", unit, zero, up_units[level]))
+        unit = _unit(low, high)
+        zero = round(max(-low, 0) / unit)
+        lateral.append(layers.of_bytes(f"lateral.{level}", up_units[level + 1], unit, answer_zero=zero))
+        up.append(layers.of_bytes(f"up.{level}.0", unit, up_units[level], zero))
         shares.append(units[level] / unit)
         zeros.append(zero)
-    head = _bytes(weights, "head", up_units[0], 0, 1.0, block=4, rounding=0.0)
+    head = layers.of_bytes("head", up_units[0], 1.0, answer_zero=-ROUNDING, block=4)
     return Quantised(down, lateral, up, head, np.array(shares, np.float32), np.array(zeros, np.int64))
 
 
-def _high(ends: tuple[float, float]) -> float:
-    return max(ends[1], LEAST)
+def _unit(low: float, high: float) -> float:
+    """What 1 stands for in a map of numbers from `low` to `high`, of which 0 is one."""
+    return (max(high, LEAST) - min(low, 0)) / MOST
 
 
-def _bytes(
-    weights: Mapping[str, NDArray[np.float32]],
-    name: str,
-    unit: float,
-    zero: int,
-    answer: float,
-    block: int = BLOCK,
-    rounding: float = 0.5,
-) -> Layer:
-    """A layer of 8-bit numbers.
+@dataclass(frozen=True)
+class _Layers:
+    """Makes whole numbers of a network's weights."""
 
-    Args:
-        weights: of all layers.
-        name: of this one.
-        unit: what 1 of the input stands for.
-        zero: the input that stands for zero.
-        answer: what 1 of the output stands for.
-        block: channels that are answered at once.
-        rounding: added to answers, which are then cut off.
-    """
-    kernel, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
-    steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / 127
-    whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int8)
-    factors = steps * unit / answer
-    offsets = bias / answer - factors * zero * whole.sum(axis=(1, 2, 3), dtype=np.int64) + rounding
-    return Layer(_arranged(whole, block, 4), _filled(factors, block), _filled(offsets, block))
+    weights: Mapping[str, NDArray[np.float32]]
+    largest: int
 
+    def of_bytes(
+        self, name: str, unit: float, answer: float, zero: int = 0, answer_zero: float = 0, block: int = BLOCK
+    ) -> Layer:
+        """A layer of 8-bit numbers.
 
-def _words(weights: Mapping[str, NDArray[np.float32]], name: str, pixels: int, answer: float) -> Layer:
-    """The first layer; inputs from `pixels` on are smoothed copies, of which the network takes the double."""
-    kernel, bias = weights[f"{name}.weight"].astype(np.float64), weights[f"{name}.bias"]
-    kernel[:, pixels:] *= 2
-    steps = np.maximum(np.abs(kernel).sum(axis=(1, 2, 3)) / WORDS, np.abs(kernel).max(axis=(1, 2, 3)) / LARGEST)
-    steps = np.maximum(steps, LEAST)
-    whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int16)
-    return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(bias / answer + 0.5, BLOCK))
+        Args:
+            name: its name.
+            unit, zero: what 1 of its input stands for, and which input stands for zero.
+            answer, answer_zero: the same of its output.
+            block: channels that are answered at once.
+        """
+        kernel, bias = self.weights[f"{name}.weight"], self.weights[f"{name}.bias"]
+        steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / self.largest
+        whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int8)
+        factors = steps * unit / answer
+        offsets = bias / answer - factors * zero * whole.sum(axis=(1, 2, 3), dtype=np.int64) + answer_zero + ROUNDING
+        return Layer(_arranged(whole, block, 4), _filled(factors, block), _filled(offsets, block))
+
+    def of_words(self, name: str, pixels: int, answer: float) -> Layer:
+        """The first layer; inputs from `pixels` on are smoothed copies, of which the network takes the double."""
+        kernel, bias = self.weights[f"{name}.weight"].astype(np.float64), self.weights[f"{name}.bias"]
+        kernel[:, pixels:] *= 2
+        sizes = np.abs(kernel).reshape(len(kernel), -1)
+        steps = np.maximum(np.maximum(sizes.sum(axis=1) / WORDS, sizes.max(axis=1) / LARGEST), LEAST)
+        whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int16)
+        offsets = bias / answer + ROUNDING
+        return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(offsets, BLOCK))
 
 
 def _arranged(kernel: NDArray[np.int8 | np.int16], block: int, group: int) -> NDArray[np.int8 | np.int16]:

@@ -17,8 +17,8 @@ I8, I16, I32, I64, F32 = ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntTy
 TILE = 16  # pixels that are treated at once, in one vector or two
 
 # Numba compiles anew for tuples of other lengths. The first one's is the number of 32-bit lanes; the second one is
-# empty without VNNI, whose instructions multiply and add at once: then the numbers of maps have 7 bits, since two
-# products have to fit into 16.
+# empty without VNNI, whose instructions multiply and add at once: then the sum of two products has to fit into 16 bits,
+# and weights have 7.
 Isa = tuple[tuple[int, ...], tuple[int, ...]]
 AVX512_VNNI: Isa = ((0,) * 16, (0,))
 AVX2_VNNI: Isa = ((0,) * 8, (0,))
@@ -99,11 +99,7 @@ class Vectors:
         packed = self._call(f"llvm.x86.{family}.packuswb{suffix}", self.chars, ab, cd)
         # these instructions treat each 128 bits alone
         order = [16 * (k // 16) + 4 * (k % 4) + k % 16 // 4 for k in range(4 * self.lanes)]
-        ordered = self.pick(packed, packed, order)
-        if self.fused:
-            return ordered
-        most = self.chars([127] * 4 * self.lanes)
-        return self.builder.select(self.builder.icmp_unsigned("<", ordered, most), ordered, most)
+        return self.pick(packed, packed, order)
 
     def _dot(self, total: Any, pixels: Any, weights: Any) -> Any:
         return self.builder.add(total, self._call("llvm.x86.avx2.pmadd.wd", self.ints, pixels, weights))
