@@ -18,7 +18,7 @@ from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.warm_up import _is_cold
 from frontend.tracking import appearance, assignment, borders, fragments, fusion, overlap
-from airline import AirLine, LineSet, fit, reach, score
+from airline import AirLine, LineSet, fit, reach, refine, score
 from airline.config import DetectorConfig, EdgeConfig
 settings = DetectorConfig(edges=EdgeConfig(detector="canny"))
 rng = np.random.default_rng(0)
@@ -32,7 +32,7 @@ for index in range(3):
 kernels = [kernel for module in (appearance, assignment, borders, fragments, fusion, overlap)
            for kernel in vars(module).values() if hasattr(kernel, "stats")]
 AirLine(config=settings)(image)
-kernels += [fit._choose, fit._vote, reach.reach, score.score]
+kernels += [fit._choose, fit._vote, reach.reach, score.score, refine._refine, refine.blocks_of]
 print(_is_cold(), *(sum(sum(kernel.stats.cache_misses.values()) for kernel in some) for some in (kernels, [fit.group])))
 """
 

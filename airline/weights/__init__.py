@@ -24,7 +24,7 @@ Ranges = dict[str, tuple[float, float]]
 
 BUNDLED = {
     "accurate": "c96a8cfd4795c610e73e560a0c2f9987d5e8aceb798ef3fc7a3b4094b94e4323",
-    "default": "b556278730d6f79c052951b0446c1603569527ce17af4617244a50a0e0757afe",
+    "default": "e8dcfbd2abbe581142ba5837ef6c31dc7c23f97f07881049d30abb7db22a4f9d",
     "fast": "16068ff7548ec7518ca91fd0530e72ea7db88755dda636f55b5976e1e6af4bda",
 }
 
