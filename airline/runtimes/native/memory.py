@@ -20,17 +20,21 @@ class Memory:
     """Maps, and the tables that tell the compiled code where all is.
 
     Attributes:
-        planes: (groups, rows + 2, stride, 2) int16, the input.
-        first: (outputs,) float32, factors of the first layer, which depend on the image.
-        levels: (levels, 7) int64, see `airline.runtimes.native.phases`.
-        layers: (3 levels + 1, 7) int64, see `airline.runtimes.native.rows`: those on the way down, the lateral ones,
-            those on the way up, the head.
+        blocks: (rows + 2, stride) uint32, see `airline.runtimes.native.image`.
+        copies: (groups, rows + 2, stride, 2) int16, see there.
+        pixels: of the first layer, whose factors and offsets depend on the image.
+        smoothed: and of its share of smoothed copies, whose factors do.
+        levels: (levels, 8) int64, see `airline.runtimes.native.phases`.
+        layers: (3 levels + 2, 6) int64, see `airline.runtimes.native.rows`: those on the way down, the lateral ones,
+            those on the way up, the head, the first one's share of smoothed copies.
         scratch: (threads, bytes) uint8.
         kept: what the tables have the addresses of.
     """
 
-    planes: NDArray[np.int16]
-    first: NDArray[np.float32]
+    blocks: NDArray[np.uint32]
+    copies: NDArray[np.int16]
+    pixels: Layer
+    smoothed: Layer
     levels: NDArray[np.int64]
     layers: NDArray[np.int64]
     scratch: NDArray[np.uint8]
@@ -56,26 +60,25 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
     widths = [columns >> level for level in range(count)]
     strides = [PIXEL * TILE * (-(-width // TILE) + 2) for width in widths]
     groups = [2 * len(layer.weights) for layer in quantised.down]
-    levels = np.zeros((count, 7), np.int64)
+    levels = np.zeros((count, 8), np.int64)
     for level, (width, stride) in enumerate(zip(widths, strides, strict=True)):
         high = rows >> level
-        taken_groups = groups[level - 1] if level else quantised.down[0].weights.shape[1]
-        taken = np.zeros((taken_groups, high + 2, stride), np.uint8)
+        taken = np.zeros((groups[level - 1] if level else 1, high + 2, stride), np.uint8)
         if level == 0:
-            planes = taken.view(np.int16).reshape(*taken.shape[:2], -1, 2)
+            blocks = taken[0].view(np.uint32)
+            copies = np.zeros((quantised.copies.weights.shape[1], *blocks.shape, 2), np.int16)
         down = np.zeros((groups[level], high, stride), np.uint8)
         up = np.zeros_like(down) if 0 < level < count - 1 else down
-        levels[level] = high, width, stride, groups[level], address(taken), address(down), address(up)
+        levels[level] = high, width, stride, groups[level], address(taken), address(down), address(up), address(copies)
 
-    first = np.empty_like(quantised.down[0].factors)
-    layers = np.zeros((3 * count + 1, 7), np.int64)
+    layers = np.zeros((3 * count + 2, 6), np.int64)
 
     def put(place: int, layer: Layer, terms: Terms) -> None:
-        factors = first if place == 0 else layer.factors
-        addresses = [address(array) for array in (layer.weights, factors, layer.offsets, np.array(terms, np.int64))]
-        layers[place] = *addresses, len(terms[0]), len(layer.weights), layer.weights.dtype == np.int16
+        arrays = (layer.weights, layer.factors, layer.offsets, np.array(terms, np.int64))
+        layers[place] = *(address(array) for array in arrays), len(terms[0]), len(layer.weights)
 
-    for level, layer in enumerate(quantised.down):
+    pixels, smoothed = _copied(quantised.down[0]), _copied(quantised.copies)
+    for level, layer in enumerate([pixels, *quantised.down[1:]]):
         put(level, layer, [_square(layer, ((rows >> level) + 2) * strides[level], strides[level], (0, 1, 2))])
     for level, layer in enumerate(quantised.lateral):
         put(count + level, layer, [_point(layer, (rows >> (level + 1)) * strides[level + 1])])
@@ -83,9 +86,15 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
         turns = [tuple((turn + dy) % 3 for dy in range(3)) for turn in range(3)]
         put(2 * count + level, layer, [_square(layer, 3 * strides[level], strides[level], turn) for turn in turns])
     put(3 * count, quantised.head, [_point(quantised.head, strides[0])])
+    put(3 * count + 1, smoothed, [_square(smoothed, (rows + 2) * strides[0], strides[0], (0, 1, 2))])
     needed = [groups[level] * 4 * (strides[level] + strides[level + 1]) for level in range(count - 1)]
     scratch = np.zeros((threads, max(needed) + 4 * strides[0]), np.uint8)
-    return Memory(planes, first, levels, layers, scratch, kept)
+    return Memory(blocks, copies, pixels, smoothed, levels, layers, scratch, kept)
+
+
+def _copied(layer: Layer) -> Layer:
+    """With factors and offsets of its own."""
+    return Layer(layer.weights, layer.factors.copy(), layer.offsets.copy())
 
 
 def _square(layer: Layer, apart: int, stride: int, rows: tuple[int, ...]) -> list[int]:

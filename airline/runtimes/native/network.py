@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray
+from airline.runtimes.native.image import GAIN
 from airline.runtimes.native.memory import Memory, lay_out
-from airline.runtimes.native.phases import go_through, take_in
-from airline.runtimes.native.quantise import LARGEST, quantise
+from airline.runtimes.native.phases import COLUMNS, go_through, take_in
+from airline.runtimes.native.quantise import quantise
 from airline.runtimes.native.vectors import Isa
 from airline.runtimes.processor import vector_instructions
 from airline.runtimes.sizes import Sizes
@@ -21,11 +22,15 @@ from airline.spec import UNetSpec
 from airline.team import Team, cores
 from airline.weights import load_ranges, load_weights
 
+FARTHEST = 5.0
 PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
 
 
 class NativeNetwork:
-    """A U-Net in 8-bit numbers, its first layer in 16 bits; see `EdgeNetwork`.
+    """A U-Net in 8-bit numbers, but for smoothed copies of the image, which are 16-bit numbers; see `EdgeNetwork`.
+
+    Images of 16 bits become ones of 8, where 255 grey levels are ten standard deviations at most.
+
 
     Args:
         weights: name of bundled weights, or path of a weights file.
@@ -46,6 +51,7 @@ class NativeNetwork:
         if not ranges or not _fits(self._spec):
             raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime openvino")
         self._quantised = quantise(self._spec, tensors, ranges, 127 if isa[1] else 63)
+        self._sums = self._quantised.down[0].weights.sum(axis=(1, 2, 4), dtype=np.float32).ravel()
         self._team = Team(cores() if threads is None else threads)
         self._sizes = Sizes(self._memory)
         self._lock = threading.Lock()
@@ -55,24 +61,31 @@ class NativeNetwork:
         return "native int8"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
-        mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(gray))
-        gain = LARGEST / _most(gray, mean)
-        edges = np.empty(gray.shape, np.float32)
+        image = _narrow(gray)
+        mean, deviation = _mean_and_deviation(image)
+        edges = np.empty(image.shape, np.float32)
         marks = np.zeros((2 * self._spec.levels, PARTS + 1), np.int32)
         crew = self._team.threads
         with self._lock:
-            memory = self._sizes.of(*gray.shape)
-            memory.first[:] = self._quantised.down[0].factors / (gain * max(deviation, 1.0))
+            memory = self._sizes.of(*image.shape)
+            self._normalise(memory, mean, max(deviation, 1.0))
+            tables = memory.levels, memory.layers, self._quantised.shares, self._quantised.zeros
 
             def join_in(start: int, end: int) -> None:
                 for who in range(start, end):
-                    columns = memory.levels[0, 1]
-                    take_in(gray, np.float32(mean), np.float32(gain), memory.planes, columns, marks, who, crew)
-                    tables = memory.levels, memory.layers, self._quantised.shares, self._quantised.zeros
+                    columns = memory.levels[0, COLUMNS]
+                    take_in(image, np.float32(mean), memory.blocks, memory.copies, columns, marks, who, crew)
                     go_through(self._isa, *tables, memory.scratch, edges, marks, who, crew)
 
             self._team.share(crew, 1, join_in)
         return edges
+
+    def _normalise(self, memory: Memory, mean: float, deviation: float) -> None:
+        """Make the first layer one for images of this mean and deviation."""
+        layer = self._quantised.down[0]
+        np.divide(layer.factors, deviation, out=memory.pixels.factors)
+        np.subtract(layer.offsets, memory.pixels.factors * mean * self._sums, out=memory.pixels.offsets)
+        np.divide(self._quantised.copies.factors, deviation * GAIN, out=memory.smoothed.factors)
 
     def _memory(self, height: int, width: int) -> Memory:
         spec = self._spec
@@ -90,9 +103,18 @@ def _fits(spec: UNetSpec) -> bool:
     return spec.unshuffle == 2 and spec.convs == 1 and spec.levels > 1
 
 
-def _most(gray: Gray, mean: float) -> float:
-    """The farthest that a pixel may lie from the mean."""
+def _mean_and_deviation(gray: Gray) -> tuple[float, float]:
+    mean, deviation = cv2.meanStdDev(gray)
+    return float(mean[0, 0]), float(deviation[0, 0])
+
+
+def _narrow(gray: Gray) -> NDArray[np.uint8]:
+    """An image in 8 bits; what is more than `FARTHEST` deviations from its mean may be cut off."""
     if gray.dtype == np.uint8:
-        return 255.0
-    least, most, _, _ = cv2.minMaxLoc(gray)
-    return max(most - mean, mean - least, 1.0)
+        return np.ascontiguousarray(gray, np.uint8)
+    mean, deviation = _mean_and_deviation(gray)
+    least = max(float(gray.min()), mean - FARTHEST * deviation)
+    most = min(float(gray.max()), mean + FARTHEST * deviation)
+    stretched = (gray - np.float32(least)) * np.float32(255 / max(most - least, 1.0))
+    narrow: NDArray[np.uint8] = np.rint(np.clip(stretched, 0, 255)).astype(np.uint8)
+    return narrow

@@ -15,6 +15,7 @@ from airline.runtimes.native.rows import (
     PIXEL,
     add_rows,
     convolve,
+    convolve_first,
     convolve_to_floats,
     convolve_to_logits,
     fill_pixel,
@@ -23,18 +24,19 @@ from airline.runtimes.native.rows import (
 from airline.runtimes.sigmoid import sigmoid
 
 # columns of the table of levels: rows and columns; from a row to the next, bytes; groups of channels; addresses of what
-# its first layer takes, with a margin of a pixel, and of the maps on the way down and up
-ROWS, COLUMNS, STRIDE, GROUPS, INPUT, DOWN, UP = range(7)
+# its first layer takes, with a margin of a pixel, of the maps on the way down and up, and of smoothed copies
+ROWS, COLUMNS, STRIDE, GROUPS, INPUT, DOWN, UP, COPIES = range(8)
 
 
 @njit(fastmath=True)
-def take_in(gray, mean, gain, planes, columns, marks, who, crew):  # type: ignore[no-untyped-def]
-    """Our share of the first phase; compiled for each kind of image."""
+def take_in(gray, mean, blocks, copies, columns, marks, who, crew):  # type: ignore[no-untyped-def]
+    """Our share of the first phase; compiled anew for images that must not be written to."""
     for turn in range(marks.shape[1] - 1):
         part = next_part(marks, 0, turn, who, crew)
         if part >= 0:
-            first, last = bounds(marks, planes.shape[1] - 2, 1, part)
-            fill_rows(gray, mean, gain, planes, columns, first, last)
+            first, last = bounds(marks, len(blocks) - 2, 1, part)
+            if first < last:
+                fill_rows(gray, mean, blocks, copies, columns, first, last)
             finish(marks, 0)
     wait(marks, 0)
 
@@ -78,7 +80,12 @@ def _down(isa, levels, layers, level, first, last):  # type: ignore[no-untyped-d
     apart = size[ROWS] * stride
     for y in range(first, last):
         target = size[DOWN] + y * stride
-        convolve(isa, layers[level], 0, size[INPUT] + y * stride, target, apart, size[COLUMNS])
+        source = size[INPUT] + y * stride
+        if level:
+            convolve(isa, layers[level], 0, source, target, apart, size[COLUMNS])
+        else:
+            copies = size[COPIES] + y * stride
+            convolve_first(isa, layers[0], layers[-1], source, copies, target, apart, size[COLUMNS])
         if level < len(levels) - 1 and y % 2:
             coarse = levels[level + 1]
             coarse_apart = (coarse[ROWS] + 2) * coarse[STRIDE]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.runtimes.native.rows import BLOCK
+from airline.runtimes.native.tiles import BLOCK
 from airline.spec import UNetSpec
 from airline.weights import Ranges
 
@@ -38,8 +38,9 @@ class Quantised:
     """All layers.
 
     Attributes:
-        down, lateral, up, head: as in `airline.unet.UNet`; `down[0]` takes 16-bit numbers, and its factors are to be
-            multiplied with what one of them stands for.
+        down, lateral, up, head: as in `airline.unet.UNet`, but that `down[0]` takes no smoothed copies, and is for
+            images with mean 0 and deviation 1.
+        copies: the first layer's share of smoothed copies, which are 16-bit numbers.
         shares: per level with a coarser one, what 1 in its map counts in the sum; float32.
         zeros: per such level, the number that stands for zero in the sum; int64.
     """
@@ -48,6 +49,7 @@ class Quantised:
     lateral: list[Layer]
     up: list[Layer]
     head: Layer
+    copies: Layer
     shares: NDArray[np.float32]
     zeros: NDArray[np.int64]
 
@@ -66,7 +68,8 @@ def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges:
     units.append(_unit(0, ranges[f"lateral.{last - 1}"][1]))
     up_units = [_unit(0, ranges["head" if level == 0 else f"lateral.{level - 1}"][1]) for level in range(last)]
     up_units.append(units[last])
-    down = [layers.of_words("down.0.0", spec.unshuffle**2, units[0])]
+    pixels = spec.unshuffle**2
+    down = [layers.of_bytes("down.0.0", 1.0, units[0], inputs=pixels)]
     down += [layers.of_bytes(f"down.{level + 1}.0", units[level], units[level + 1]) for level in range(last)]
     lateral, up, shares, zeros = [], [], [], []
     for level in range(last):
@@ -78,7 +81,8 @@ def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges:
         shares.append(units[level] / unit)
         zeros.append(zero)
     head = layers.of_bytes("head", up_units[0], 1.0, answer_zero=-ROUNDING, block=4)
-    return Quantised(down, lateral, up, head, np.array(shares, np.float32), np.array(zeros, np.int64))
+    copies = layers.of_words("down.0.0", pixels, units[0])
+    return Quantised(down, lateral, up, head, copies, np.array(shares, np.float32), np.array(zeros, np.int64))
 
 
 def _unit(low: float, high: float) -> float:
@@ -94,7 +98,14 @@ class _Layers:
     largest: int
 
     def of_bytes(
-        self, name: str, unit: float, answer: float, zero: int = 0, answer_zero: float = 0, block: int = BLOCK
+        self,
+        name: str,
+        unit: float,
+        answer: float,
+        zero: int = 0,
+        answer_zero: float = 0,
+        block: int = BLOCK,
+        inputs: int | None = None,
     ) -> Layer:
         """A layer of 8-bit numbers.
 
@@ -103,32 +114,33 @@ class _Layers:
             unit, zero: what 1 of its input stands for, and which input stands for zero.
             answer, answer_zero: the same of its output.
             block: channels that are answered at once.
+            inputs: how many of the channels to take; all by default.
         """
-        kernel, bias = self.weights[f"{name}.weight"], self.weights[f"{name}.bias"]
+        kernel, bias = self.weights[f"{name}.weight"][:, :inputs], self.weights[f"{name}.bias"]
         steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / self.largest
         whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int8)
         factors = steps * unit / answer
         offsets = bias / answer - factors * zero * whole.sum(axis=(1, 2, 3), dtype=np.int64) + answer_zero + ROUNDING
         return Layer(_arranged(whole, block, 4), _filled(factors, block), _filled(offsets, block))
 
-    def of_words(self, name: str, pixels: int, answer: float) -> Layer:
-        """The first layer; inputs from `pixels` on are smoothed copies, of which the network takes the double."""
-        kernel, bias = self.weights[f"{name}.weight"].astype(np.float64), self.weights[f"{name}.bias"]
-        kernel[:, pixels:] *= 2
+    def of_words(self, name: str, first: int, answer: float) -> Layer:
+        """A layer of 16-bit numbers, without its bias, of channels from `first` on: half of what the network takes."""
+        kernel = 2 * self.weights[f"{name}.weight"][:, first:].astype(np.float64)
         sizes = np.abs(kernel).reshape(len(kernel), -1)
-        steps = np.maximum(np.maximum(sizes.sum(axis=1) / WORDS, sizes.max(axis=1) / LARGEST), LEAST)
+        most = sizes.max(axis=1, initial=0)
+        steps = np.maximum(np.maximum(sizes.sum(axis=1) / WORDS, most / LARGEST), LEAST)
         whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int16)
-        offsets = bias / answer + ROUNDING
-        return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(offsets, BLOCK))
+        return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(0 * steps, BLOCK))
 
 
 def _arranged(kernel: NDArray[np.int8 | np.int16], block: int, group: int) -> NDArray[np.int8 | np.int16]:
     """(O / block, I / group, taps, block, group) of an (O, I, h, w) kernel, filled up with zeros."""
     outputs, inputs, height, width = kernel.shape
     blocks, groups = -(-outputs // block), -(-inputs // group)
-    full = np.zeros((blocks * block, groups * group, height * width), kernel.dtype)
-    full[:outputs, :inputs] = kernel.reshape(outputs, inputs, -1)
-    return np.ascontiguousarray(full.reshape(blocks, block, groups, group, -1).transpose(0, 2, 4, 1, 3))
+    full = np.zeros((blocks * block, groups * group, height, width), kernel.dtype)
+    full[:outputs, :inputs] = kernel
+    apart = full.reshape(blocks, block, groups, group, height * width)
+    return np.ascontiguousarray(apart.transpose(0, 2, 4, 1, 3))
 
 
 def _filled(values: NDArray[np.floating], block: int) -> NDArray[np.float32]:

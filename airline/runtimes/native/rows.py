@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from airline.compiled import njit
-from airline.runtimes.native.tiles import add_coarse, chars, fill, floats, head, pool, words
+from airline.runtimes.native.tiles import BLOCK, add_coarse, chars, fill, first, floats, head, pool
 from airline.runtimes.native.vectors import TILE
 
 # columns of the table of layers: addresses of weights, factors, offsets and terms; how many terms; how many blocks of
-# outputs; whether it takes 16-bit numbers
-WEIGHTS, FACTORS, OFFSETS, TERMS, COUNT, BLOCKS, WORDS = range(7)
-BLOCK = 8  # outputs
+# outputs
+WEIGHTS, FACTORS, OFFSETS, TERMS, COUNT, BLOCKS = range(6)
 PIXEL = 4  # bytes of a group, or of a float
 
 
@@ -34,10 +33,32 @@ def convolve(isa, layer, turn, source, target, apart, columns):  # type: ignore[
         out = target + BLOCK // 4 * block * apart
         for x in range(0, columns, TILE):
             here, there = source + PIXEL * x, out + PIXEL * x
-            if layer[WORDS]:
-                words(isa, here, terms, count, weights, factors, offsets, there, apart)
-            else:
-                chars(isa, here, terms, count, weights, factors, offsets, there, apart)
+            chars(isa, here, terms, count, weights, factors, offsets, there, apart)
+
+
+@njit(inline="always")
+def convolve_first(isa, pixels, copies, source, copies_source, target, apart, columns):  # type: ignore[no-untyped-def]
+    """The first layer; rows of the table for pixels and for smoothed copies, other arguments as for `convolve`."""
+    for block in range(pixels[BLOCKS]):
+        weights = pixels[WEIGHTS] + block * BLOCK * PIXEL * pixels[COUNT]
+        copies_weights = copies[WEIGHTS] + block * BLOCK * PIXEL * copies[COUNT]
+        for x in range(0, columns, TILE):
+            first(
+                isa,
+                source + PIXEL * x,
+                pixels[TERMS],
+                pixels[COUNT],
+                weights,
+                pixels[FACTORS] + 4 * BLOCK * block,
+                copies_source + PIXEL * x,
+                copies[TERMS],
+                copies[COUNT],
+                copies_weights,
+                copies[FACTORS] + 4 * BLOCK * block,
+                pixels[OFFSETS] + 4 * BLOCK * block,
+                target + BLOCK // 4 * block * apart + PIXEL * x,
+                apart,
+            )
 
 
 @njit(inline="always")

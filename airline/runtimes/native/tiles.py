@@ -5,6 +5,7 @@ All arguments but `isa` are addresses and counts; see `airline.runtimes.native.v
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from numba.core import cgutils, types
@@ -12,8 +13,11 @@ from numba.core import cgutils, types
 from airline.runtimes.native.vectors import F32, I32, I64, Vectors
 from airline.spin import intrinsic
 
+Dot = Callable[[Any, Any, Any], Any]
+BLOCK = 8  # outputs of a tile
 
-def _convolution(dot: str, outputs: int, to_bytes: bool) -> Any:
+
+def _convolution(outputs: int, to_bytes: bool) -> Any:
     @intrinsic
     def tile(context, isa, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
         """Answer some channels.
@@ -31,21 +35,10 @@ def _convolution(dot: str, outputs: int, to_bytes: bool) -> Any:
         def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             v = Vectors(builder, isa)
             _, source, terms, count, weights, factors, offsets, target, apart = arguments
-            at_once = v.totals // v.count
-            for first in range(0, outputs, at_once):
-                few = range(first, min(first + at_once, outputs))
-                totals = _totals(v, dot, few, outputs, source, terms, count, weights)
-                answers = [
-                    _answers(v, row, v.after(factors, 4 * n), v.after(offsets, 4 * n))
-                    for n, row in zip(few, totals, strict=True)
-                ]
-                if to_bytes:
-                    fours = [answers[n : n + 4] for n in range(0, len(few), 4)]
-                    answers = [[v.bytes_of(four) for four in zip(*rows, strict=True)] for rows in fours]
-                for row in answers:
-                    for k, vector in enumerate(row):
-                        v.store(vector, v.after(target, v.size * k))
-                    target = builder.add(target, apart)
+            for few in _portions(v, outputs):
+                totals = _totals(v, v.dot_bytes, few, outputs, source, terms, count, weights)
+                answers = _answers(v, few, totals, factors, _splats(v, few, offsets))
+                target = _store(v, answers, target, apart, to_bytes)
             return context.get_dummy_value()
 
         return types.void(isa, *[types.int64] * 8), emit
@@ -53,10 +46,50 @@ def _convolution(dot: str, outputs: int, to_bytes: bool) -> Any:
     return tile
 
 
+@intrinsic
+def first(  # type: ignore[no-untyped-def]
+    context,
+    isa,
+    source,
+    terms,
+    count,
+    weights,
+    factors,
+    words,
+    word_terms,
+    word_count,
+    word_weights,
+    word_factors,
+    offsets,
+    target,
+    apart,
+):
+    """As the tile of a convolution to bytes, of pixels in bytes and of others in 16-bit numbers."""
+
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        v = Vectors(builder, isa)
+        of_bytes, factors, of_words, word_factors = arguments[1:5], arguments[5], arguments[6:10], arguments[10]
+        offsets, target, apart = arguments[11:]
+        for few in _portions(v, BLOCK):
+            totals = _totals(v, v.dot_bytes, few, BLOCK, *of_bytes)
+            word_totals = _totals(v, v.dot_words, few, BLOCK, *of_words)
+            answers = _answers(v, few, word_totals, word_factors, _splats(v, few, offsets))
+            target = _store(v, _answers(v, few, totals, factors, answers), target, apart, True)
+        return context.get_dummy_value()
+
+    return types.void(isa, *[types.int64] * 13), emit
+
+
+def _portions(v: Vectors, outputs: int) -> list[range]:
+    """Outputs for which the registers last at a time."""
+    at_once = v.totals // v.count
+    return [range(first, min(first + at_once, outputs)) for first in range(0, outputs, at_once)]
+
+
 def _totals(
-    v: Vectors, dot: str, few: range, outputs: int, source: Any, terms: Any, count: Any, weights: Any
+    v: Vectors, dot: Dot, few: range, outputs: int, source: Any, terms: Any, count: Any, weights: Any
 ) -> list[list[Any]]:
-    """Of a few of the outputs; by output and vector."""
+    """By output and vector."""
     builder = v.builder
     slots = [[v.slot() for _ in range(v.count)] for _ in few]
     with cgutils.for_range(builder, count) as loop:
@@ -66,17 +99,37 @@ def _totals(
         for n, of_output in zip(few, slots, strict=True):
             weight = v.splat(v.load(v.after(row, 4 * n), I32))
             for pixel, slot in zip(pixels, of_output, strict=True):
-                builder.store(getattr(v, dot)(builder.load(slot), pixel, weight), slot)
+                builder.store(dot(builder.load(slot), pixel, weight), slot)
     return [[builder.load(slot) for slot in of_output] for of_output in slots]
 
 
-def _answers(v: Vectors, totals: list[Any], factor: Any, offset: Any) -> list[Any]:
-    factor, offset = (v.splat(v.load(each, F32)) for each in (factor, offset))
-    return [v.multiply_add(v.builder.sitofp(total, v.floats), factor, offset) for total in totals]
+def _splats(v: Vectors, few: range, numbers: Any) -> list[list[Any]]:
+    return [[v.splat(v.load(v.after(numbers, 4 * n), F32))] * v.count for n in few]
 
 
-words, chars = _convolution("dot_words", 8, True), _convolution("dot_bytes", 8, True)
-floats, head = _convolution("dot_bytes", 8, False), _convolution("dot_bytes", 4, False)
+def _answers(
+    v: Vectors, few: range, totals: list[list[Any]], factors: Any, offsets: list[list[Any]]
+) -> list[list[Any]]:
+    factor = _splats(v, few, factors)
+    return [
+        [v.multiply_add(v.builder.sitofp(a, v.floats), b, c) for a, b, c in zip(*rows, strict=True)]
+        for rows in zip(totals, factor, offsets, strict=True)
+    ]
+
+
+def _store(v: Vectors, answers: list[list[Any]], target: Any, apart: Any, to_bytes: bool) -> Any:
+    """Returns where the next outputs go."""
+    if to_bytes:
+        fours = [answers[n : n + 4] for n in range(0, len(answers), 4)]
+        answers = [[v.bytes_of(four) for four in zip(*rows, strict=True)] for rows in fours]
+    for row in answers:
+        for k, vector in enumerate(row):
+            v.store(vector, v.after(target, v.size * k))
+        target = v.builder.add(target, apart)
+    return target
+
+
+chars, floats, head = _convolution(BLOCK, True), _convolution(BLOCK, False), _convolution(4, False)
 
 
 @intrinsic
