@@ -209,13 +209,14 @@ def run(options: argparse.Namespace) -> None:
     """Measure, draw, print; raises AirLineError."""
     from airline.config import preset
     from airline.detector import AirLine
+    from airline.runtimes.processor import vector_instructions
     from airline.weights import load_weights
 
     if options.rounds < 1:
         raise ConfigError("--rounds must be 1 or more")
     if options.out.suffix != ".png" or not options.out.parent.is_dir():
         raise InputError(f"cannot write {options.out}: give a name that ends with .png in a folder that exists")
-    detector = AirLine(options.preset, runtime="openvino")
+    detector = AirLine(options.preset, runtime="openvino" if vector_instructions() is None else "native")
     sizes = over_sizes(detector, options.size, options.images, options.rounds)
     figure = draw(sizes, over_lines(detector, options.images, options.rounds))
     try:

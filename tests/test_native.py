@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,7 @@ from airline.compiled import njit
 from airline.errors import ConfigError
 from airline.metrics import score
 from airline.runtimes import open_network
+from airline.runtimes.native import memory
 from airline.runtimes.native import network as native
 from airline.runtimes.native.crew import bounds, finish, next_part, wait
 from airline.runtimes.native.network import NativeNetwork
@@ -101,6 +103,33 @@ def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec, monkeypatch: pyt
         if _has(feature):
             ours = with_instructions(tmp_path / "net.safetensors", isa, monkeypatch)
             assert_close(ours(image), TorchNetwork(net)(image), 0.05, 0.005)
+
+
+GUARD = 4096  # bytes
+
+
+@pytest.mark.parametrize("spec", [UNetSpec((3, 9, 4), smoothed=4), SPECS["default"]])
+def test_nothing_is_written_beyond_the_maps(tmp_path: Path, spec: UNetSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled code looks at no bounds."""
+    made = []
+
+    def guarded(shape: tuple[int, ...]) -> np.ndarray:
+        size = math.prod(shape)
+        made.append(np.full(size + 2 * GUARD, 171, np.uint8))
+        room = made[-1][GUARD : GUARD + size]
+        room[:] = 0
+        return room.reshape(shape)
+
+    monkeypatch.setattr(memory, "_room", guarded)
+    rng, net = np.random.default_rng(0), UNet(spec).eval()
+    save_unet(net, tmp_path / "net.safetensors", measure_ranges(net, [rng.integers(0, 256, (64, 64), np.uint8)]))
+    for isa, feature in ISAS.values():
+        if _has(feature):
+            network = with_instructions(tmp_path / "net.safetensors", isa, monkeypatch)
+            for height, width in rng.integers(1, 140, (12, 2)):
+                network(rng.integers(0, 256, (height, width), np.uint8))
+    assert len(made) > 100
+    assert all((room[:GUARD] == 171).all() and (room[-GUARD:] == 171).all() for room in made)
 
 
 def test_maps_of_zeros(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import time
 
 import numpy as np
 import pytest
@@ -31,6 +32,12 @@ def test_an_error_of_any_part_is_raised() -> None:
     with pytest.raises(ValueError, match="the last part"):
         Team(4).share(100, 1, fail_at_the_end)
     assert Team(4).share(4, 1, lambda start, end: end) == [1, 2, 3, 4]
+
+
+def test_threads_that_have_gone_to_sleep_help_again() -> None:
+    for pause in (0, 0.001, 0.02, 0):
+        time.sleep(pause)
+        assert Team(3).share(30, 1, lambda start, end: end - start) == [10, 10, 10]
 
 
 def halves() -> None:

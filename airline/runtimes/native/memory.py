@@ -63,12 +63,12 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
     levels = np.zeros((count, 8), np.int64)
     for level, (width, stride) in enumerate(zip(widths, strides, strict=True)):
         high = rows >> level
-        taken = np.zeros((groups[level - 1] if level else 1, high + 2, stride), np.uint8)
+        taken = _room((groups[level - 1] if level else 1, high + 2, stride))
         if level == 0:
             blocks = taken[0].view(np.uint32)
-            copies = np.zeros((quantised.copies.weights.shape[1], *blocks.shape, 2), np.int16)
-        down = np.zeros((groups[level], high, stride), np.uint8)
-        up = np.zeros_like(down) if 0 < level < count - 1 else down
+            copies = _room((quantised.copies.weights.shape[1], *blocks.shape, PIXEL)).view(np.int16)
+        down = _room((groups[level], high, stride))
+        up = _room(down.shape) if 0 < level < count - 1 else down
         levels[level] = high, width, stride, groups[level], address(taken), address(down), address(up), address(copies)
 
     layers = np.zeros((3 * count + 2, 6), np.int64)
@@ -88,8 +88,12 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
     put(3 * count, quantised.head, [_point(quantised.head, strides[0])])
     put(3 * count + 1, smoothed, [_square(smoothed, (rows + 2) * strides[0], strides[0], (0, 1, 2))])
     needed = [groups[level] * 4 * (strides[level] + strides[level + 1]) for level in range(count - 1)]
-    scratch = np.zeros((threads, max(needed) + 4 * strides[0]), np.uint8)
+    scratch = _room((threads, max(needed) + 4 * strides[0]))
     return Memory(blocks, copies, pixels, smoothed, levels, layers, scratch, kept)
+
+
+def _room(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    return np.zeros(shape, np.uint8)
 
 
 def _copied(layer: Layer) -> Layer:

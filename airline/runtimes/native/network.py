@@ -22,7 +22,7 @@ from airline.spec import UNetSpec
 from airline.team import Team, cores
 from airline.weights import load_ranges, load_weights
 
-FARTHEST = 5.0
+FARTHEST = 5.0  # deviations from the mean that an image of 16 bits keeps
 PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
 
 
@@ -30,7 +30,6 @@ class NativeNetwork:
     """A U-Net in 8-bit numbers, but for smoothed copies of the image, which are 16-bit numbers; see `EdgeNetwork`.
 
     Images of 16 bits become ones of 8, where 255 grey levels are ten standard deviations at most.
-
 
     Args:
         weights: name of bundled weights, or path of a weights file.
