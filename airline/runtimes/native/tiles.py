@@ -1,6 +1,7 @@
 """What is done to `TILE` neighbouring pixels at once; numba compiles these into their callers.
 
-All arguments but `isa` are addresses and counts; see `airline.runtimes.native.vectors`.
+All arguments but `isa` are addresses and counts; see `airline.runtimes.native.vectors`. What numba has kept of the
+callers does not notice a change in here: remove the `__pycache__` beside this file after one.
 """
 
 from __future__ import annotations
