@@ -10,9 +10,10 @@ import torch
 from safetensors.torch import save_file
 
 from airline import AirLine
+from airline.config import Runtime
 from airline.errors import WeightsError
 from airline.metrics import score
-from airline.runtimes import openvino_cpu, processor
+from airline.runtimes import open_network, openvino_cpu, processor
 from airline.runtimes.openvino_cpu import OpenVinoNetwork
 from airline.runtimes.torch_eager import TorchNetwork
 from airline.spec import SPECS, UNetSpec
@@ -21,6 +22,7 @@ from airline.unet import UNet, normalise
 from airline.weights import BUNDLED, load_ranges, load_unet, save_unet
 from frontend.sources.scene import SceneSource
 
+RUNTIMES: list[Runtime] = ["openvino", *([] if processor.vector_instructions() is None else ["native"])]
 XEON = {"sse2", "avx512vnni", "avx512bf16", "amx-bf16"}
 
 
@@ -101,9 +103,11 @@ def test_maps_of_zeros_have_ranges_that_work(tmp_path: Path, monkeypatch: pytest
     save_unet(net, tmp_path / "net.safetensors", ranges)
     monkeypatch.setattr(openvino_cpu, "has_bf16", lambda: False)
     monkeypatch.setattr(openvino_cpu, "has_vnni", lambda: True)
-    ours, theirs = OpenVinoNetwork(tmp_path / "net.safetensors"), TorchNetwork(tmp_path / "net.safetensors")
-    assert ours.name == "openvino int8"
-    np.testing.assert_allclose(ours(image), theirs(image), atol=1e-3)
+    theirs = TorchNetwork(net)(image)
+    for runtime in RUNTIMES:
+        ours = open_network(tmp_path / "net.safetensors", runtime)
+        assert ours.name == f"{runtime} int8"
+        np.testing.assert_allclose(ours(image), theirs, atol=1e-3)
 
 
 def test_where_it_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import AirLine
+from airline.config import Runtime
 from airline.edges import UNetEdges
 from airline.errors import ConfigError, WeightsError
 from airline.runtimes import open_network
@@ -129,8 +130,9 @@ def test_lines_agree(scene: np.ndarray) -> None:
     assert np.mean(near) > 0.9
 
 
-def test_results_are_the_callers_own_and_threads_do_not_mix(scene: np.ndarray) -> None:
-    network = OpenVinoNetwork("fast")
+@pytest.mark.parametrize("runtime", ["openvino", *([] if vector_instructions() is None else ["native"])])
+def test_results_are_the_callers_own_and_threads_do_not_mix(scene: np.ndarray, runtime: Runtime) -> None:
+    network = open_network("fast", runtime)
     images = [np.ascontiguousarray(np.roll(scene, 40 * k, axis=1)) for k in range(6)]
     alone = [network(image).copy() for image in images]
     with ThreadPoolExecutor(3) as pool:
