@@ -7,7 +7,8 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-WAITING = 1  # items that are under way beyond one per stage
+WAITING = 3  # items that are under way beyond one per stage: stages take longer for some items than for others
+WAITING_LIVE = 1  # where what is read is wanted soon
 
 
 def pipelined(
@@ -16,9 +17,9 @@ def pipelined(
     """The items after all stages, in order: `stages[-1](... stages[0](item))`.
 
     Every stage has one thread, so none runs twice at once; what they do in native code without Python's lock overlaps.
-    At most `WAITING` items more than there are threads are under way, the one that the consumer has included: while it
-    is slow, the items are not read. What a stage answers must be its own: the stage takes the next item while others
-    still work on the answer.
+    At most `WAITING` items more than there are threads are under way (without `read_ahead`, `WAITING_LIVE`), with the
+    one that the consumer has: while it is slow, the items are not read. What a stage answers must be its own: the stage
+    takes the next item while others still work on the answer.
 
     An error of the items or of a stage is raised where its result would be, behind all earlier results, as the same
     exception with the traceback of where it happened; that stage and those behind it take nothing more. At the end,
@@ -40,10 +41,11 @@ def pipelined(
     first, *rest = stages
     steps: list[Callable[..., Any]] = [read, *stages] if read_ahead else [lambda: first(read()), *rest]
     threads = [_Stage(step) for step in steps]
+    most = len(threads) + (WAITING if read_ahead else WAITING_LIVE)
     under_way: deque[Future[Any]] = deque()
     try:
         while True:
-            while len(under_way) < len(threads) + WAITING:
+            while len(under_way) < most:
                 under_way.append(_submit(threads))
             yield under_way.popleft().result()
     except _End:
