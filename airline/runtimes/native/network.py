@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray
+from airline.runtimes.fold import folded_size
 from airline.runtimes.native.image import GAIN
 from airline.runtimes.native.memory import Memory, lay_out
 from airline.runtimes.native.phases import COLUMNS, go_through, take_in
@@ -87,9 +88,7 @@ class NativeNetwork:
         np.divide(self._quantised.copies.factors, deviation * GAIN, out=memory.smoothed.factors)
 
     def _memory(self, height: int, width: int) -> Memory:
-        spec = self._spec
-        rows, columns = (-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))
-        return lay_out(self._quantised, rows, columns, self._team.threads)
+        return lay_out(self._quantised, *folded_size(self._spec, height, width), self._team.threads)
 
 
 def suits(weights: str | Path) -> bool:

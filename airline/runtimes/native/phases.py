@@ -63,11 +63,9 @@ def go_through(isa, levels, layers, shares, zeros, scratch, edges, marks, who, c
             if part < 0:
                 continue
             first, last = bounds(marks, levels[level, ROWS], unit, part)
-            if first == last:
-                pass
-            elif phase <= count:
+            if phase <= count:
                 _down(isa, levels, layers, level, first, last)
-            else:
+            elif first < last:
                 _up(isa, levels, layers, level, shares[level], zeros[level], first, last, scratch[who], edges)
             finish(marks, phase)
         wait(marks, phase)
