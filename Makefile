@@ -29,7 +29,7 @@ unit: .venv/installed
 
 # damaged and hostile input for every reader of files and messages: 280,000 inputs, some minutes
 fuzz: .venv/installed
-	$(BIN)/python -m tests.fuzz 2>/dev/null
+	$(BIN)/python -m tests.helpers.fuzz 2>/dev/null
 
 # 50,000 frames through the whole pipeline, half an hour and more
 soak: .venv/installed
@@ -37,7 +37,7 @@ soak: .venv/installed
 
 # licences of all that an installation needs
 licences: .venv/installed
-	$(BIN)/python -m tests.licences
+	$(BIN)/python -m tests.helpers.licences
 
 # what users get: the wheel, installed into an empty environment, does the main job in an empty folder
 test-wheel:
@@ -45,7 +45,7 @@ test-wheel:
 	$(PYTHON) -m venv --clear .venvs/build
 	$(BUILD)/python -m pip install --quiet build
 	$(BUILD)/python -m build --outdir dist .
-	$(BUILD)/python tests/wheel.py dist
+	$(BUILD)/python tests/helpers/wheel.py dist
 	$(PYTHON) -m venv --clear .venvs/wheel
 	$(WHEEL)/python -m pip install --quiet --constraint constraints.txt dist/*.whl
 	rm -rf .venvs/empty && mkdir .venvs/empty

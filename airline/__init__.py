@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from airline.config import DetectorConfig
     from airline.detector import AirLine
-    from airline.edges import CannyEdges, EdgeDetector, ModuleEdges, UNetEdges
     from airline.errors import AirLineError, ConfigError, InputError, WeightsError
     from airline.lines import LineSet
+    from airline.stages.edges import CannyEdges, EdgeDetector, ModuleEdges, UNetEdges
     from airline.trace import Trace
 
 __version__ = "0.1.0"
@@ -17,15 +17,15 @@ __version__ = "0.1.0"
 _HOMES = {
     "AirLine": "airline.detector",
     "AirLineError": "airline.errors",
-    "CannyEdges": "airline.edges",
+    "CannyEdges": "airline.stages.edges",
     "ConfigError": "airline.errors",
     "DetectorConfig": "airline.config",
-    "EdgeDetector": "airline.edges",
+    "EdgeDetector": "airline.stages.edges",
     "InputError": "airline.errors",
     "LineSet": "airline.lines",
-    "ModuleEdges": "airline.edges",
+    "ModuleEdges": "airline.stages.edges",
     "Trace": "airline.trace",
-    "UNetEdges": "airline.edges",
+    "UNetEdges": "airline.stages.edges",
     "WeightsError": "airline.errors",
 }
 

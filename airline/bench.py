@@ -78,7 +78,7 @@ def load_pictures(paths: Sequence[Path], size: str) -> list[NDArray[np.uint8]]:
             if image is None:
                 raise InputError(f"cannot read the image {path}")
     else:
-        from airline.scenes import Sequence as Clip
+        from airline.scenes import RenderedClip as Clip
 
         clip = Clip(kind="indoor", motion="handheld", seed=12, frames=PICTURES * SPACING)
         views = islice(clip, 0, None, SPACING)

@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from airline.config import DetectorConfig, Runtime
 from airline.config import preset as settings_of
-from airline.edges import CannyEdges, EdgeDetector, UNetEdges
-from airline.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
-from airline.grow import RegionGrower
 from airline.image import Gray, to_gray
+from airline.kernels.threads import Team, cores
 from airline.lines import LineSet
-from airline.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
-from airline.pixels import PixelSelector, RidgePixels, ThresholdPixels
-from airline.refine import ImageRefiner
-from airline.team import Team, cores
+from airline.stages.edges import CannyEdges, EdgeDetector, UNetEdges
+from airline.stages.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
+from airline.stages.grow import RegionGrower
+from airline.stages.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
+from airline.stages.pixels import PixelSelector, RidgePixels, ThresholdPixels
+from airline.stages.refine import ImageRefiner
 from airline.trace import Trace
 
 
@@ -62,7 +62,7 @@ class AirLine:
             preset: "default", "fast", "accurate" or "paper".
             config: all settings; replaces the preset.
             edges: an edge detector of your own; replaces the one of the settings.
-            runtime: what the U-Net runs in: "auto", "native", "openvino", "torch" or "cuda"; see `airline.runtimes`.
+            runtime: what the U-Net runs in: "auto", "native", "openvino", "torch", "cuda": see `open_network`.
             threads: how many cores the U-Net (but for torch and CUDA) and the stages after it take; all by default, as
                 is best for one image at a time.
 

@@ -18,7 +18,9 @@ import torch
 
 from airline.command import EXIT_USER_ERROR, Parser, StderrHandler
 from airline.errors import AirLineError, InputError
-from airline.spec import SPECS
+from airline.network.spec import SPECS
+from airline.network.unet import UNet
+from airline.network.weights import save_unet
 from airline.training.dataset import Sample, fingerprint, list_images, load_samples
 from airline.training.loop import State, find_device
 from airline.training.loss import PixelWeights
@@ -27,8 +29,6 @@ from airline.training.rendered import HELD_OUT_SEED, render_samples
 from airline.training.schedule import Schedule
 from airline.training.session import Session
 from airline.training.validation import Validation, split
-from airline.unet import UNet
-from airline.weights import save_unet
 
 log = logging.getLogger("airline.train")
 

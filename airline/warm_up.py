@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from airline.fit import TotalLeastSquaresFitter
-from airline.refine import ImageRefiner
+from airline.stages.fit import TotalLeastSquaresFitter
+from airline.stages.refine import ImageRefiner
 
 
 def compile_last_steps() -> None:
-    """Compile the second half of the line fit, on one made-up part (see `airline.moments`), and the refinement."""
+    """Compile the second half of the line fit, on one made-up part (see `split_regions`), and the refinement."""
     count = 12
     x, y = np.arange(count) + 3.0, np.full(count, 4.0)
     sums = [np.sum(values) for values in (np.ones(count), x, y, x * x, x * y, y * y)]

@@ -5,9 +5,9 @@ import sys
 import cv2
 
 from airline import AirLine
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 
-image = cv2.imread(sys.argv[1]) if len(sys.argv) > 1 else Sequence(seed=12).render(0).image
+image = cv2.imread(sys.argv[1]) if len(sys.argv) > 1 else RenderedClip(seed=12).render(0).image
 if image is None:
     sys.exit(f"cannot read {sys.argv[1]}: give a JPEG or PNG file")
 lines = AirLine()(image)

@@ -5,11 +5,11 @@ INPUT is a video file, an image folder or glob, a camera index or a stream URL; 
 
 import sys
 
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from frontend import LineFrontend
 from frontend.sources.scene import SceneSource
 
-source = sys.argv[1] if len(sys.argv) > 1 else SceneSource(Sequence(seed=12, frames=20))
+source = sys.argv[1] if len(sys.argv) > 1 else SceneSource(RenderedClip(seed=12, frames=20))
 for tracks in LineFrontend().stream(source):
     confirmed = tracks.confirmed
     # your backend's call goes here: stamp, ids and end points of the lines that were seen often enough

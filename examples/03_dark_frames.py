@@ -14,7 +14,7 @@ import numpy as np
 from airline import AirLine
 from airline.evaluation.benchmark import lsd
 from airline.evaluation.light import BAD_LIGHT
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 
 parser = argparse.ArgumentParser(description="Draw the lines found in dark frames, LSD beside AirLine.")
 parser.add_argument("--out", default="dark_frames.png", help="picture to write (default: %(default)s)")
@@ -22,7 +22,7 @@ parser.add_argument("images", nargs="*", metavar="IMAGE")
 options = parser.parse_args()
 
 images = [cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in options.images] or [
-    cv2.cvtColor(Sequence(kind=kind, seed=12, effects=None).render(frame).image, cv2.COLOR_BGR2GRAY)
+    cv2.cvtColor(RenderedClip(kind=kind, seed=12, effects=None).render(frame).image, cv2.COLOR_BGR2GRAY)
     for kind, frame in (("indoor", 60), ("street", 0))
 ]
 detect_lsd, airline, dark = lsd(), AirLine(), BAD_LIGHT["dark"]

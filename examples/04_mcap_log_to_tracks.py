@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from airline import AirLineError
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from frontend import LineFrontend
 from frontend.sources.scene import SceneSource
 from logs import McapImageSource, McapTrackSink, ParquetTrackSink
@@ -25,7 +25,7 @@ def make_log(path: Path) -> Path:
     """A log with the images and the calibration of the built-in clip; the sink writes them when asked to."""
     frontend = LineFrontend()
     with closing(McapTrackSink(path, with_images=True)) as sink:
-        for frame in SceneSource(Sequence(seed=12, frames=12)):
+        for frame in SceneSource(RenderedClip(seed=12, frames=12)):
             sink.write(frontend.process(replace(frame, stamp_ns=frame.stamp_ns + START_NS)))
     return path
 

@@ -18,7 +18,7 @@ import torch
 from safetensors.torch import load_file
 
 from airline import AirLine, CannyEdges, ModuleEdges
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 
 
 class SobelMagnitude(torch.nn.Module):
@@ -52,7 +52,7 @@ parser.add_argument("--out", default="edge_detectors.png", help="picture to writ
 parser.add_argument("image", nargs="?", metavar="IMAGE", help="default: a rendered room")
 options = parser.parse_args()
 
-image = cv2.imread(options.image) if options.image else Sequence(seed=12).render(60).image
+image = cv2.imread(options.image) if options.image else RenderedClip(seed=12).render(60).image
 if image is None:
     sys.exit(f"cannot read {options.image}: give a JPEG or PNG file")
 detectors = {

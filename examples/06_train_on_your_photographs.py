@@ -15,8 +15,8 @@ from pathlib import Path
 import cv2
 
 from airline import AirLine, UNetEdges
-from airline.metrics import score
-from airline.scenes import Sequence
+from airline.evaluation.metrics import score
+from airline.scenes import RenderedClip
 from airline.train import main as train
 from airline.training.dataset import list_images
 
@@ -31,7 +31,7 @@ if photographs is None:
     photographs, out = temporary / "photographs", temporary / out
     photographs.mkdir()
     for seed in range(3):
-        view = Sequence(kind=("indoor", "street")[seed % 2], seed=seed, size=(320, 240)).render(0)
+        view = RenderedClip(kind=("indoor", "street")[seed % 2], seed=seed, size=(320, 240)).render(0)
         cv2.imwrite(str(photographs / f"{seed}.png"), view.image)
 
 trial = ["--model", "fast", "--limit", 100, "--views", 2, "--steps", options.steps]

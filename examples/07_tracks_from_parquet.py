@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from airline import AirLineError
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from frontend import LineFrontend
 from frontend.sources.scene import SceneSource
 from logs import ParquetTrackSink, read_tracks
@@ -26,7 +26,7 @@ path = Path(sys.argv[1]) if len(sys.argv) > 1 and not notebook else None
 if path is None:
     path = Path(tempfile.mkdtemp()) / "tracks.parquet"
     with closing(ParquetTrackSink(path)) as sink:
-        for result in LineFrontend().results(SceneSource(Sequence(seed=12, frames=12))):
+        for result in LineFrontend().results(SceneSource(RenderedClip(seed=12, frames=12))):
             sink.write(result)
 
 # %% Frame by frame, with all that was known: the LineTracks as they were written, bit by bit

@@ -5,7 +5,7 @@ INDEX_OR_URL is a camera's number or a stream's URL; without it the built-in cli
 
 import sys
 
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from frontend import LineFrontend, open_source
 from frontend.sources.fresh import FreshFrames
 from frontend.sources.realtime import RealtimeSource
@@ -14,7 +14,7 @@ from frontend.sources.scene import SceneSource
 if len(sys.argv) > 1:
     camera = open_source(sys.argv[1])
 else:
-    camera = RealtimeSource(SceneSource(Sequence(seed=12, frames=40)), ahead=True)
+    camera = RealtimeSource(SceneSource(RenderedClip(seed=12, frames=40)), ahead=True)
 fresh = FreshFrames(camera, hold=len(sys.argv) == 1)  # drops the oldest frames when the camera is faster than we are
 frontend = LineFrontend()
 try:

@@ -14,7 +14,7 @@ import cv2
 import pyarrow.parquet as pq
 from mcap.writer import Writer
 
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from frontend.batch import run_batch
 from frontend.sources.scene import SceneSource
 
@@ -28,7 +28,7 @@ def write_log(path: Path, seed: int) -> None:
         writer.start()
         schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
         channel = writer.register_channel("/camera/image", "json", schema)
-        for frame in SceneSource(Sequence(seed=seed, frames=10, size=(320, 240))):
+        for frame in SceneSource(RenderedClip(seed=seed, frames=10, size=(320, 240))):
             jpeg = base64.b64encode(cv2.imencode(".jpg", frame.image)[1]).decode()
             stamp_ns = START_NS + frame.stamp_ns
             stamp = {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from frontend.camera import CameraModel
+    from frontend.camera.model import CameraModel
     from frontend.frame import Frame
     from frontend.history import Observations, TrackHistory
     from frontend.pipeline import LineFrontend
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from frontend.tracks import LineTracks, TrackState
 
 _HOMES = {
-    "CameraModel": "frontend.camera",
+    "CameraModel": "frontend.camera.model",
     "Frame": "frontend.frame",
     "FrameResult": "frontend.protocols",
     "LineFrontend": "frontend.pipeline",

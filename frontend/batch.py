@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING
 
 from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError, ConfigError
-from frontend.flags import add_settings, settings_of
+from frontend.cli.flags import add_settings, settings_of
+from frontend.cli.signals import EXIT_INTERRUPTED, ending_like_interrupts
+from frontend.cli.terminal import progress, set_up_logging
 from frontend.fleet.job import OUTPUTS, Recipe, Row
-from frontend.signals import EXIT_INTERRUPTED, ending_like_interrupts
-from frontend.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
+    from frontend.cli.settings import RunConfig
     from frontend.fleet.report import Report
     from frontend.fleet.workers import Workers
-    from frontend.settings import RunConfig
 
 __all__ = ["run_batch"]
 
@@ -54,7 +54,7 @@ def run_batch(
     Args:
         inputs: files, folders or globs: videos, logs, bag folders, image folders.
         out: the folder of all results, made if need be.
-        config: settings of each run, see `frontend.settings.load`.
+        config: settings of each run, see `frontend.cli.settings.load`.
         write: what to write for each recording: "parquet", "mcap", "csv", "limap", "plvins" or "rrd".
         workers: how many recordings run at once on this machine; by default one per two cores.
         ray: run on Ray instead: "local", "auto", "HOST:PORT" or "ray://HOST:PORT". All nodes need this package, and the
@@ -68,7 +68,7 @@ def run_batch(
         AirLineError: an input without a recording, an impossible setting, an output that cannot be written.
         KeyboardInterrupt: after the report has been written; what was finished stays.
     """
-    from frontend.settings import RunConfig
+    from frontend.cli.settings import RunConfig
 
     report, interrupted = _run(inputs, Path(out), config or RunConfig(), tuple(write), workers, ray, overwrite)
     if interrupted:
@@ -129,7 +129,7 @@ def _open_workers(workers: int | None, ray: str | None, recipe: Recipe, jobs: in
         from frontend.fleet.ray_cluster import RayWorkers
 
         return RayWorkers(ray, recipe)
-    from airline.team import cores
+    from airline.kernels.threads import cores
     from frontend.fleet.local import LocalWorkers
 
     count = max(1, min(jobs, workers or cores() // 2))
@@ -176,7 +176,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         from rich.console import Console
 
-        from frontend.settings import load
+        from frontend.cli.settings import load
 
         config = load(options.config, settings_of(options))
         outputs = tuple(options.write)

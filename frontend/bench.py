@@ -23,14 +23,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from airline.command import Parser, exit_code, write_json
 from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
+from frontend.cli.terminal import progress
 from frontend.frame import Frame
-from frontend.terminal import progress
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink
-    from frontend.settings import RunConfig
 
 SIZES = ("640x480", "752x480", "1280x720", "1920x1080")
 CLIP_FRAMES = 120  # held in memory; longer runs go through them forth and back
@@ -65,7 +65,7 @@ class ClipSource:
     skipped: int = 0
 
     def __iter__(self) -> Iterator[Frame]:
-        from frontend.opencv import decode_image
+        from frontend.sources.opencv import decode_image
 
         period = max(2 * len(self.files) - 2, 1)
         for index in range(self.frame_count):
@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
     from rich.console import Console
 
-    from frontend.settings import load
+    from frontend.cli.settings import load
 
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as frontend.run does; the processes inherit it
     config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": CLIP_FRAMES}})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from airline.team import cores
+from airline.kernels.threads import cores
 
 
 def network_threads(of: int | None = None) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from airline.command import Parser, exit_code, write_json
 from airline.errors import InputError
-from frontend.terminal import progress
+from frontend.cli.terminal import progress
 
 if TYPE_CHECKING:
     from frontend.evaluation.clip import Clip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 
 if TYPE_CHECKING:
     from airline.image import Gray

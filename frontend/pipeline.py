@@ -26,7 +26,7 @@ from frontend.tracks import LineTracks
 from frontend.warm_up import warm_up
 
 if TYPE_CHECKING:
-    from frontend.settings import RunConfig
+    from frontend.cli.settings import RunConfig
 
 
 def open_frontend(config: RunConfig) -> LineFrontend:

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING
 
 from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, ConfigError, InputError
-from frontend.flags import build_parser, settings_of
-from frontend.signals import ending_like_interrupts, exit_code_of, uninterrupted
-from frontend.terminal import progress, set_up_logging
+from frontend.cli.flags import build_parser, settings_of
+from frontend.cli.signals import ending_like_interrupts, exit_code_of, uninterrupted
+from frontend.cli.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterable, Iterator
 
+    from frontend.cli.settings import RunConfig
+    from frontend.cli.summary import Summary, SummaryCounter
     from frontend.frame import Frame
     from frontend.pipeline import LineFrontend
     from frontend.protocols import Sink, Source
-    from frontend.settings import RunConfig
-    from frontend.summary import Summary, SummaryCounter
     from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
@@ -34,14 +34,14 @@ log = logging.getLogger("frontend.run")
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
     """The frames that the input, the camera and the frame settings stand for."""
+    from frontend.camera.undistort import with_camera
     from frontend.protocols import is_live
-    from frontend.select import select_frames
-    from frontend.undistort import with_camera
+    from frontend.sources.selection import select_frames
 
     chosen = config.input
     camera = None
     if chosen.calib is not None:
-        from frontend.calibration import read_calibration
+        from frontend.camera.calibration import read_calibration
 
         camera = read_calibration(chosen.calib)
     opened = open_source_of(spec, config)
@@ -277,11 +277,11 @@ def process(source: Source, config: RunConfig, open_sinks: Callable[[], Iterable
     Sinks are opened when the first frame has been read, so that a bad input leaves earlier output files alone, and
     are closed whatever happens.
     """
+    from frontend.cli.summary import SummaryCounter
     from frontend.pipeline import open_frontend
     from frontend.protocols import is_live, reconnects_of
     from frontend.sources.fresh import FreshFrames
     from frontend.sources.realtime import RealtimeSource
-    from frontend.summary import SummaryCounter
 
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
@@ -379,7 +379,7 @@ def main(arguments: list[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     set_up_logging(options.verbose)
     try:
-        from frontend.settings import dump, load
+        from frontend.cli.settings import dump, load
 
         config = load(options.config, settings_of(options))
         if options.dump_config:

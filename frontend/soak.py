@@ -135,8 +135,8 @@ def run(options: argparse.Namespace) -> int:
     from rich.console import Console
 
     from frontend.bench import ClipSource, load_clips
+    from frontend.cli.settings import load
     from frontend.run import process
-    from frontend.settings import load
 
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as frontend.run does
     config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": 120}})

@@ -17,7 +17,7 @@ from frontend.tracking.config import TrackerConfig
 from frontend.tracking.fragments import absorbed, parents
 from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances, with_bias
 from frontend.tracking.motion import Prediction, WorkingImage, predict_segments, working_image
-from frontend.tracking.overlap import Looks, overlap_votes
+from frontend.tracking.overlap import LineFeatures, overlap_votes
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
@@ -56,7 +56,7 @@ class LineTracker:
         """
         gray = to_uint8(frame.gray)
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
-        seen = Looks(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
+        seen = LineFeatures(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
         earlier = no_tracks(seen) if self._tracks is None else self._tracks
         tracks, pairs = earlier, np.full(len(earlier), -1, np.int32)
         reset = self._reset_reason(frame.stamp_ns, size)
@@ -99,7 +99,7 @@ class LineTracker:
         covariances = predicted_covariances(tracks.covariances, tracks.segments, segments, prediction.followed)
         return replace(tracks, segments=segments, covariances=covariances, visible=prediction.followed)
 
-    def _pair(self, tracks: TrackTable, seen: Looks) -> Pairs:
+    def _pair(self, tracks: TrackTable, seen: LineFeatures) -> Pairs:
         """The line of each track: first for those seen in the last frame, then for the others."""
         config = self.config
         slack = tracks.missed + np.where(tracks.visible, 0, 1)
@@ -123,7 +123,7 @@ class LineTracker:
         self,
         tracks: TrackTable,
         pairs: Pairs,
-        seen: Looks,
+        seen: LineFeatures,
         residuals: NDArray[np.float32] | None,
         frame_index: int,
         size: tuple[int, int],
@@ -196,7 +196,7 @@ class LineTracker:
 
 
 def _updated(
-    tracks: TrackTable, hit: NDArray[np.bool_], lines: Looks, errors: NDArray[np.float32], size: tuple[int, int]
+    tracks: TrackTable, hit: NDArray[np.bool_], lines: LineFeatures, errors: NDArray[np.float32], size: tuple[int, int]
 ) -> TrackTable:
     """The tracks with one more frame; those that were hit are fused with their lines."""
     backwards = _runs_backwards(tracks.segments[hit], lines.segments)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 
 
 class TrackState(IntEnum):

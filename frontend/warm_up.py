@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
+from airline.kernels.threads import cores
 from airline.lines import LineSet
-from airline.team import cores
 from airline.warm_up import compile_last_steps
 from frontend.frame import Frame
 from frontend.tracker import LineTracker

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from airline.command import Parser, write_json
-from frontend.opencv import Image
+from frontend.sources.opencv import Image
 from frontend.sources.scene import SceneSource
 from logs import McapImageSource
 from logs.files import open_log

@@ -9,9 +9,9 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from airline.errors import ConfigError, InputError
-from frontend.calibration import LARGEST, MAX_SIDE, fit_camera
-from frontend.camera import CameraModel
-from frontend.lens import lens
+from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
+from frontend.camera.lens import lens
+from frontend.camera.model import CameraModel
 from logs.messages.types import CameraInfo
 
 _RECTIFIED = frozenset({"rect", "rectified"})

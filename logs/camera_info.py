@@ -6,7 +6,7 @@ import logging
 from itertools import islice
 
 from airline.errors import AirLineError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from logs.calibration import camera_of, info_topic_for, is_rectified
 from logs.files.types import LogFile
 from logs.messages.registry import is_calibration_type, reader_for

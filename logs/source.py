@@ -13,9 +13,9 @@ from functools import cached_property
 from itertools import islice
 
 from airline.errors import InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.frame import Frame
-from frontend.opencv import Image
+from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
 from logs.camera_info import camera_from_log
 from logs.files.mcap_file import McapFile

@@ -22,11 +22,11 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of 8 rendered pictures of a room, 160x120, from a moving camera."""
     import cv2
 
-    from airline.scenes import Sequence
+    from airline.scenes import RenderedClip
 
     folder = tmp_path_factory.mktemp("inputs") / "room"
     folder.mkdir()
-    for number, view in enumerate(Sequence(kind="indoor", motion="handheld", seed=12, frames=8, size=(160, 120))):
+    for number, view in enumerate(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=8, size=(160, 120))):
         assert cv2.imwrite(str(folder / f"{number}.png"), view.image)
     return folder
 
@@ -43,6 +43,6 @@ def open_log() -> Iterator[Callable[[Path], McapFile]]:
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
     """Bright rectangles on a dark ground, annotated; see `write_annotated`."""
-    from tests.data_sets import write_annotated
+    from tests.helpers.data_sets import write_annotated
 
     return write_annotated(tmp_path / "rectangles")

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     import rerun as rr
 
+    from frontend.cli.settings import RunConfig
     from frontend.pipeline import LineFrontend
     from frontend.protocols import Source
-    from frontend.settings import RunConfig
     from viz.comparison import Comparison
 
 JPEG_QUALITY = 80
@@ -42,7 +42,7 @@ def is_track_file(spec: str) -> bool:
 
 def config_of(spec: str) -> RunConfig:
     """The settings that a preset, a settings file or a weights file stands for; raises InputError for anything else."""
-    from frontend.settings import load
+    from frontend.cli.settings import load
 
     if spec in PRESETS:
         return load(None, {"preset": spec})
@@ -103,7 +103,7 @@ def run_moments(source: Source, frontends: Sequence[LineFrontend]) -> Iterator[M
     import cv2
 
     from airline.image import to_uint8
-    from frontend.terminal import progress
+    from frontend.cli.terminal import progress
 
     with progress(source.name, source.frame_count) as advance:
         for frame in source:
@@ -132,9 +132,9 @@ def open_input(options: argparse.Namespace) -> Source | None:
     """The frames to run on, and to show; the built-in clip where a run needs frames and none are given."""
     if options.input is None and is_track_file(options.a) and is_track_file(options.b):
         return None
+    from frontend.cli.settings import load
     from frontend.run import open_source_of
-    from frontend.select import select_frames
-    from frontend.settings import load
+    from frontend.sources.selection import select_frames
 
     source = open_source_of(options.input, load(None, {}))
     try:

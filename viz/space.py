@@ -7,7 +7,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from airline.errors import InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
 from viz.strips import packed, strips_3d
 

@@ -80,9 +80,9 @@ def read_image(path: Path | None) -> Picture:
         InputError: no image can be read from there.
     """
     if path is None:
-        from airline.scenes import Sequence
+        from airline.scenes import RenderedClip
 
-        return to_uint8(to_gray(Sequence(kind="indoor", motion="handheld", seed=12).render(60).image))
+        return to_uint8(to_gray(RenderedClip(kind="indoor", motion="handheld", seed=12).render(60).image))
     data = np.fromfile(path, np.uint8) if path.is_file() else np.zeros(0, np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
     if image is None:

@@ -1,1 +1,1 @@
-"""Parts of the commands `python -m airline.evaluate` and `python -m airline.ablate`."""
+"""Parts of the commands `python -m airline.evaluate` and `python -m airline.evaluation.ablate`."""

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from airline.config import DetectorConfig, EdgeConfig, FitConfig, GrowConfig, OrientationConfig, RefineConfig, preset
 from airline.detector import AirLine
-from airline.edges import CannyEdges, EdgeDetector, UNetEdges
 from airline.evaluation.benchmark import Figures, Image, Lines, Tally, lsd
 from airline.evaluation.dataset import Sample
-from airline.pixels import PixelSelector
+from airline.stages.edges import CannyEdges, EdgeDetector, UNetEdges
+from airline.stages.pixels import PixelSelector
 
 BackEnd = Callable[[Image, NDArray[np.float32]], Lines]  # (H, W) grey image and edge map to (N, 2, 2) px
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from airline.evaluation.dataset import Sample, read_lines
 from airline.evaluation.light import BAD_LIGHT
+from airline.evaluation.metrics import RADII, PixelScores, mean, score
 from airline.evaluation.repeatability import PairScores, compare, random_view
-from airline.metrics import RADII, PixelScores, mean, score
 
 VIEWS = 3  # per image
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
 from airline.errors import ConfigError
+from airline.kernels.compiled import njit
 
 _CURVE = 4096
 

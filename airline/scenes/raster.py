@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 from airline.scenes.textures import LEVELS, SIZE, STRIDE
 
 NEAR = 0.05  # m

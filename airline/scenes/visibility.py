@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 from airline.scenes.raster import NEAR
 
 BEHIND = 2e-3  # m behind a face before it hides: a line lies on its own faces

@@ -10,10 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import torch
 
+from airline.network.unet import normalise
 from airline.training.dataset import Sample, random_crop
 from airline.training.loss import PixelWeights
 from airline.training.schedule import Schedule
-from airline.unet import normalise
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  # images, targets, weights
 

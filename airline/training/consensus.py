@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 
 SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view
 SUPPORT_ANGLE = np.deg2rad(8.0)

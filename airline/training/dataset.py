@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
 from airline.errors import InputError
+from airline.kernels.compiled import njit
 from airline.training.consensus import PseudoLabels, consensus
 from airline.training.progress import in_parallel
 

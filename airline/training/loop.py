@@ -13,11 +13,11 @@ from typing import Literal
 import torch
 
 from airline.errors import ConfigError
+from airline.network.unet import UNet
 from airline.training.batches import batches
 from airline.training.dataset import Sample
 from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
-from airline.unet import UNet
 
 Device = Literal["auto", "cpu", "cuda"]
 

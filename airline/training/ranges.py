@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from airline.unet import UNet
-from airline.weights import Ranges
+from airline.network.unet import UNet
+from airline.network.weights import Ranges
 
 BEYOND = 1e-5  # share of an image's numbers that may lie beyond a range, on either side,
 IMAGES = 0.95  # in so many of the images: one odd image must not take the others' precision

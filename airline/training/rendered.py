@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.scenes import Sequence
+from airline.scenes import RenderedClip
 from airline.training.consensus import PIECE, PseudoLabels
 from airline.training.dataset import Sample
 from airline.training.progress import in_parallel
@@ -20,7 +20,7 @@ def render_sample(number: int, first_seed: int = FIRST_SEED) -> Sample:
     """One clean view of a scene of its own; every visible line has share 1."""
     rng = np.random.default_rng(number)
     kind = ("indoor", "street")[number % 2]
-    sequence = Sequence(kind=kind, motion="slow", seed=first_seed + number, frames=FRAMES, effects=None)
+    sequence = RenderedClip(kind=kind, motion="slow", seed=first_seed + number, frames=FRAMES, effects=None)
     view = sequence.render(int(rng.integers(0, FRAMES)))
     pieces = cut(view.segments_px)
     gray: NDArray[np.uint8] = cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY)

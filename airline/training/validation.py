@@ -11,14 +11,14 @@ import torch
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
-from airline.edges import UNetEdges
 from airline.errors import InputError
-from airline.metrics import mean, score
+from airline.evaluation.metrics import mean, score
+from airline.network.unet import UNet
+from airline.stages.edges import UNetEdges
 from airline.training.batches import Batch, make_batch
 from airline.training.dataset import Sample, draw_labels
 from airline.training.loss import PixelWeights, edge_loss
 from airline.training.schedule import Schedule
-from airline.unet import UNet
 
 MAX_PHOTOGRAPHS = 60
 TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line

@@ -10,8 +10,8 @@ import numpy as np
 
 from airline import AirLine, LineSet
 from airline.evaluation.benchmark import lsd
-from airline.scenes import RenderedView, Sequence, render_sequence
-from airline.scenes.sequence import build_scene
+from airline.scenes import RenderedClip, RenderedView, render_clip
+from airline.scenes.clip import build_scene
 from frontend import CameraModel, Frame, LineTracker
 from frontend.evaluation.baselines import NearestTracker
 from frontend.evaluation.posed import PosedClip
@@ -44,11 +44,11 @@ class Seen:
 
 def built_in(frames: int, names: list[str]) -> Seen:
     """The first frames of the built-in clip."""
-    sequence = Sequence(kind="indoor", motion="handheld", seed=12, frames=frames)
+    sequence = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=frames)
     frontends = _frontends(names)
     views: dict[str, list[View]] = {name: [] for name in names}
     poses, depths, pieces = [], [], []
-    for index, rendered in enumerate(render_sequence(sequence)):
+    for index, rendered in enumerate(render_clip(sequence)):
         frame = frame_of(index, rendered)
         for name, look in frontends.items():
             views[name].append(look(frame))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from airline.compiled import njit
 from airline.image import to_gray, to_uint8
+from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from frontend.evaluation.record import Tracked
 from frontend.frame import Frame

@@ -18,8 +18,8 @@ from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.clip import Clip, Truth
 from frontend.frame import Frame
-from frontend.opencv import decode_image
 from frontend.sources.layouts import list_images
+from frontend.sources.opencv import decode_image
 
 if TYPE_CHECKING:
     from airline import AirLine

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from airline.scenes import CameraEffects, Sequence
+from airline.scenes import CameraEffects, RenderedClip
 from frontend.evaluation.clip import Clip, Truth
 from frontend.evaluation.occluder import Occluder
 from frontend.frame import Frame
@@ -17,7 +17,7 @@ DARK = CameraEffects(exposure=0.06, noise_sigma=8.0)
 
 
 @dataclass(frozen=True)
-class RenderedClip:
+class LabelledClip:
     """A generated sequence whose camera settings may jump, and something that may pass before the camera.
 
     Frames are rendered one by one in the caller's thread, so that timings of the tracker are not disturbed.
@@ -30,7 +30,7 @@ class RenderedClip:
     """
 
     name: str
-    takes: tuple[Sequence, ...]
+    takes: tuple[RenderedClip, ...]
     hold: int = 12
     occluder: Occluder | None = None
 
@@ -47,9 +47,11 @@ class RenderedClip:
         return (frame, truth) if self.occluder is None else self.occluder.cover(frame, truth)
 
 
-def _take(kind: str, motion: str, seed: int, frames: int = FRAMES, effects: CameraEffects | None = None) -> Sequence:
+def _take(
+    kind: str, motion: str, seed: int, frames: int = FRAMES, effects: CameraEffects | None = None
+) -> RenderedClip:
     """A sequence whose truth has every line a detector might see, so that what may be either of two is known to be."""
-    return Sequence(
+    return RenderedClip(
         kind, motion, seed, frames, effects=effects or CameraEffects(), min_contrast=1.0, merge_doubles=False
     )
 
@@ -62,12 +64,12 @@ def rendered_clips() -> list[Clip]:
     """
     jumps = tuple(_take("street", "handheld", 5, effects=CameraEffects(exposure=e)) for e in EXPOSURES)
     return [
-        RenderedClip("static", (_take("indoor", "static", 7, 60),)),
-        RenderedClip("slow", (_take("street", "slow", 4),)),
-        RenderedClip("handheld", (_take("indoor", "handheld", 3),)),
-        RenderedClip("fast", (_take("indoor", "fast", 4),)),
-        RenderedClip("dark", (_take("indoor", "handheld", 12, effects=DARK),)),
-        RenderedClip("exposure", jumps),
-        RenderedClip("occlusion", (_take("street", "handheld", 6),), occluder=Occluder()),
-        RenderedClip("repeated", (_take("shelves", "handheld", 4),)),
+        LabelledClip("static", (_take("indoor", "static", 7, 60),)),
+        LabelledClip("slow", (_take("street", "slow", 4),)),
+        LabelledClip("handheld", (_take("indoor", "handheld", 3),)),
+        LabelledClip("fast", (_take("indoor", "fast", 4),)),
+        LabelledClip("dark", (_take("indoor", "handheld", 12, effects=DARK),)),
+        LabelledClip("exposure", jumps),
+        LabelledClip("occlusion", (_take("street", "handheld", 6),), occluder=Occluder()),
+        LabelledClip("repeated", (_take("shelves", "handheld", 4),)),
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 from frontend.evaluation.clip import Truth
 
 UNKNOWN = -1

@@ -20,8 +20,8 @@ from airline.errors import AirLineError
 if TYPE_CHECKING:
     from airline.config import DetectorConfig, Runtime
     from airline.detector import AirLine
+    from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink
-    from frontend.settings import RunConfig
 
 OUTPUTS = {
     "parquet": "tracks.parquet",
@@ -80,7 +80,7 @@ class Row:
         reason: why it failed, in one sentence.
         output: the folder with its results.
         attempts: how often it was started in this batch.
-        frames, skipped_frames, lines_per_frame, tracks, track_length_median, fps: see `frontend.summary.Summary`.
+        frames, skipped_frames, lines_per_frame, tracks, track_length_median, fps: see `frontend.cli.summary.Summary`.
         seconds: from opening the recording until its results were complete.
         warnings: the first ones that its run gave.
     """
@@ -136,10 +136,10 @@ def run_job(job: Job, recipe: Recipe) -> Row:
 def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[str, Any]:
     """Write all outputs and the summary into the folder; returns the summary."""
     from airline import __version__
+    from frontend.cli.summary import SummaryCounter
     from frontend.cores import network_threads
     from frontend.pipeline import LineFrontend
     from frontend.run import check_frames, open_input, open_recording, push, video_to_log
-    from frontend.summary import SummaryCounter
     from frontend.tracker import LineTracker
     from logs.sinks.open import open_track_sink
 

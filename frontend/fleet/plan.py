@@ -15,10 +15,10 @@ from typing import Any
 import msgspec
 
 from airline.errors import InputError
+from frontend.cli.settings import RunConfig
 from frontend.fleet.inputs import fingerprint
 from frontend.fleet.job import SUMMARY, UNFINISHED, Job, Recipe, Row, row_of
 from frontend.fleet.names import unique_names
-from frontend.settings import RunConfig
 
 REPORT = "report.parquet"
 
@@ -77,8 +77,8 @@ def with_absolute_paths(config: RunConfig) -> RunConfig:
     Raises:
         AirLineError: the calibration or the weights cannot be used: better said once than for every recording.
     """
-    from airline.weights import BUNDLED, load_weights
-    from frontend.calibration import read_calibration
+    from airline.network.weights import BUNDLED, load_weights
+    from frontend.camera.calibration import read_calibration
 
     replace = msgspec.structs.replace
     edges, calib = config.detector.edges, config.input.calib

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from airline.errors import ConfigError, InputError
 from frontend.protocols import Source
-from frontend.select import select_frames
+from frontend.sources.selection import select_frames
 
 __all__ = ["open_source"]
 

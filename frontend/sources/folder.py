@@ -10,8 +10,8 @@ from pathlib import Path
 
 from airline.errors import InputError
 from frontend.frame import Frame
-from frontend.opencv import Image, decode_image
 from frontend.sources.layouts import list_images
+from frontend.sources.opencv import Image, decode_image
 from frontend.sources.skips import Skips
 
 log = logging.getLogger(__name__)

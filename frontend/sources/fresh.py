@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.wrapped import WrappedSource
+from frontend.sources.wrapped import WrappedSource
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import cv2
 
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
-from frontend.opencv import Image, as_frame_image, quiet
+from frontend.sources.opencv import Image, as_frame_image, quiet
 
 log = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.wrapped import WrappedSource
+from frontend.sources.wrapped import WrappedSource
 
 
 class RealtimeSource(WrappedSource):

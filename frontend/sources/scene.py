@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from airline.scenes import RenderedView, Sequence, render_sequence
-from frontend.camera import CameraModel
+from airline.scenes import RenderedClip, RenderedView, render_clip
+from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 
 
@@ -19,9 +19,9 @@ def frame_of(index: int, view: RenderedView) -> Frame:
 class SceneSource:
     """Frames of a rendered sequence, with its camera."""
 
-    def __init__(self, sequence: Sequence | None = None) -> None:
+    def __init__(self, sequence: RenderedClip | None = None) -> None:
         """Stream a sequence; the default is a hand-held walk of ten seconds along a corridor."""
-        self._sequence = sequence or Sequence(kind="indoor", motion="handheld", seed=12, frames=300)
+        self._sequence = sequence or RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
 
     @property
     def name(self) -> str:
@@ -39,7 +39,7 @@ class SceneSource:
         return 0
 
     def __iter__(self) -> Iterator[Frame]:
-        for index, view in enumerate(render_sequence(self._sequence, workers=2)):
+        for index, view in enumerate(render_clip(self._sequence, workers=2)):
             yield frame_of(index, view)
 
     def close(self) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
-from airline.sampling import lay, total_of
+from airline.kernels.compiled import njit
+from airline.kernels.sampling import lay, total_of
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line
 SPACING = 6.0  # px between samples along the line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 from frontend.tracking.overlap import beside, lines_near
 
 MAX_DISTANCE = 1.0  # px of a piece from the line it broke from

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 from frontend.tracking.borders import inside
 
 CORRELATION = 8.0  # px of a line's length that err alike: pixels share their neighbourhood

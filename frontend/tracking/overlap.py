@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.compiled import njit
+from airline.kernels.compiled import njit
 
 AGAIN = 0.65  # weight of the part seen last against the whole track in what a line covers
 
 
 @dataclass(frozen=True)
-class Looks:
+class LineFeatures:
     """Segments, and what tells them apart from their neighbours.
 
     Attributes:
@@ -26,14 +26,14 @@ class Looks:
     descriptors: NDArray[np.float32]
     profiles: NDArray[np.float32]
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.int32]) -> Looks:
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.int32]) -> LineFeatures:
         """Some of the segments."""
-        return Looks(self.segments[rows], self.descriptors[rows], self.profiles[rows])
+        return LineFeatures(self.segments[rows], self.descriptors[rows], self.profiles[rows])
 
 
 def overlap_votes(
-    tracks: Looks,
-    lines: Looks,
+    tracks: LineFeatures,
+    lines: LineFeatures,
     bands: NDArray[np.float32],
     parts: NDArray[np.float32],
     min_appearance: NDArray[np.float32],

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.tracking.overlap import Looks
+from frontend.tracking.overlap import LineFeatures
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class TrackTable:
         return np.asarray(start + self.parts[:, :, None] * (end - start))
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> LineFeatures:
         """The tracks as candidates for a pair."""
-        return Looks(self.segments, self.descriptors, self.profiles)
+        return LineFeatures(self.segments, self.descriptors, self.profiles)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Every array by its name."""
@@ -79,7 +79,11 @@ class TrackTable:
 
 
 def new_tracks(
-    first_id: int, frame_index: int, lines: Looks, covariances: NDArray[np.float32], fragment_of: NDArray[np.int64]
+    first_id: int,
+    frame_index: int,
+    lines: LineFeatures,
+    covariances: NDArray[np.float32],
+    fragment_of: NDArray[np.int64],
 ) -> TrackTable:
     """A track for each of N lines that were seen for the first time."""
     count = len(lines.segments)
@@ -98,7 +102,7 @@ def new_tracks(
     )
 
 
-def no_tracks(lines: Looks) -> TrackTable:
+def no_tracks(lines: LineFeatures) -> TrackTable:
     """An empty table for tracks of such lines."""
     none = lines.take(np.zeros(0, np.int32))
     return new_tracks(0, 0, none, np.zeros((0, 2, 2), np.float32), np.zeros(0, np.int64))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.opencv import Image
+from frontend.sources.opencv import Image
 from logs.images.encoded import decode_encoded
 from logs.images.pixels import decode_pixels
 from logs.images.sixteen_bits import SteadyScale

@@ -19,7 +19,7 @@ from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from airline.image import to_uint8
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
 from frontend.frame import Frame
 from frontend.tracks import LineTracks

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError, InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.output import OutputFile, errors_of

@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from google.protobuf.message import Message
 
 from airline.errors import ConfigError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.foxglove import calibration, jpeg, line_annotations, schema_of

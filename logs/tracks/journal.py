@@ -14,7 +14,7 @@ from typing import BinaryIO
 import pyarrow as pa
 
 from airline.errors import InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.tracks import LineTracks
 from logs.tracks.json import camera_fields
 from logs.tracks.rows import check_columns

@@ -15,7 +15,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.tracks import LineTracks, TrackState
 
 SECOND_NS = 1_000_000_000

@@ -18,7 +18,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
-from frontend.camera import CameraModel
+from frontend.camera.model import CameraModel
 from frontend.tracks import LineTracks
 from logs.tracks.json import Camera, camera_fields, decode_tracks, encode_tracks
 from logs.tracks.schema import CONVENTIONS

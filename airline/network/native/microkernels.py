@@ -1,0 +1,195 @@
+"""What is done to `TILE` neighbouring pixels at once; numba compiles these into their callers.
+
+All arguments but `isa` are addresses and counts; see `airline.network.native.vectors`. What numba has kept of the
+callers does not notice a change in here: remove the `__pycache__` beside this file after one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba.core import cgutils, types
+
+from airline.kernels.atomics import intrinsic
+from airline.network.native.vectors import F32, I32, I64, Vectors
+
+Dot = Callable[[Any, Any, Any], Any]
+BLOCK = 8  # outputs of a tile
+
+
+def _convolution(outputs: int, to_bytes: bool) -> Any:
+    @intrinsic
+    def tile(context, isa, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
+        """Answer some channels.
+
+        Args:
+            source: of the pixels, to which is added
+            terms: where each group that counts lies, int64 bytes,
+            count: of them.
+            weights: (count, outputs, 4 bytes).
+            factors, offsets: (outputs,) float32, from totals to answers.
+            target: where the answers go, as bytes or as floats.
+            apart: from a group, or from a channel of floats, to the next, bytes.
+        """
+
+        def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            v = Vectors(builder, isa)
+            _, source, terms, count, weights, factors, offsets, target, apart = arguments
+            for few in _portions(v, outputs):
+                totals = _totals(v, v.dot_bytes, few, outputs, source, terms, count, weights)
+                answers = _answers(v, few, totals, factors, _splats(v, few, offsets))
+                target = _store(v, answers, target, apart, to_bytes)
+            return context.get_dummy_value()
+
+        return types.void(isa, *[types.int64] * 8), emit
+
+    return tile
+
+
+@intrinsic
+def first(  # type: ignore[no-untyped-def]
+    context,
+    isa,
+    source,
+    terms,
+    count,
+    weights,
+    factors,
+    words,
+    word_terms,
+    word_count,
+    word_weights,
+    word_factors,
+    offsets,
+    target,
+    apart,
+):
+    """As the tile of a convolution to bytes, of pixels in bytes and of others in 16-bit numbers."""
+
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        v = Vectors(builder, isa)
+        of_bytes, factors, of_words, word_factors = arguments[1:5], arguments[5], arguments[6:10], arguments[10]
+        offsets, target, apart = arguments[11:]
+        for few in _portions(v, BLOCK):
+            totals = _totals(v, v.dot_bytes, few, BLOCK, *of_bytes)
+            word_totals = _totals(v, v.dot_words, few, BLOCK, *of_words)
+            answers = _answers(v, few, word_totals, word_factors, _splats(v, few, offsets))
+            target = _store(v, _answers(v, few, totals, factors, answers), target, apart, True)
+        return context.get_dummy_value()
+
+    return types.void(isa, *[types.int64] * 13), emit
+
+
+def _portions(v: Vectors, outputs: int) -> list[range]:
+    """Outputs for which the registers last at a time."""
+    at_once = v.totals // v.count
+    return [range(first, min(first + at_once, outputs)) for first in range(0, outputs, at_once)]
+
+
+def _totals(
+    v: Vectors, dot: Dot, few: range, outputs: int, source: Any, terms: Any, count: Any, weights: Any
+) -> list[list[Any]]:
+    """By output and vector."""
+    builder = v.builder
+    slots = [[v.slot() for _ in range(v.count)] for _ in few]
+    with cgutils.for_range(builder, count) as loop:
+        place = builder.add(source, v.load(builder.add(terms, builder.mul(loop.index, I64(8))), I64))
+        pixels = [v.load(v.after(place, v.size * k), v.ints) for k in range(v.count)]
+        row = builder.add(weights, builder.mul(loop.index, I64(4 * outputs)))
+        for n, of_output in zip(few, slots, strict=True):
+            weight = v.splat(v.load(v.after(row, 4 * n), I32))
+            for pixel, slot in zip(pixels, of_output, strict=True):
+                builder.store(dot(builder.load(slot), pixel, weight), slot)
+    return [[builder.load(slot) for slot in of_output] for of_output in slots]
+
+
+def _splats(v: Vectors, few: range, numbers: Any) -> list[list[Any]]:
+    return [[v.splat(v.load(v.after(numbers, 4 * n), F32))] * v.count for n in few]
+
+
+def _answers(
+    v: Vectors, few: range, totals: list[list[Any]], factors: Any, offsets: list[list[Any]]
+) -> list[list[Any]]:
+    factor = _splats(v, few, factors)
+    return [
+        [v.multiply_add(v.builder.sitofp(a, v.floats), b, c) for a, b, c in zip(*rows, strict=True)]
+        for rows in zip(totals, factor, offsets, strict=True)
+    ]
+
+
+def _store(v: Vectors, answers: list[list[Any]], target: Any, apart: Any, to_bytes: bool) -> Any:
+    """Returns where the next outputs go."""
+    if to_bytes:
+        fours = [answers[n : n + 4] for n in range(0, len(answers), 4)]
+        answers = [[v.bytes_of(four) for four in zip(*rows, strict=True)] for rows in fours]
+    for row in answers:
+        for k, vector in enumerate(row):
+            v.store(vector, v.after(target, v.size * k))
+        target = v.builder.add(target, apart)
+    return target
+
+
+chars, floats, head = _convolution(BLOCK, True), _convolution(BLOCK, False), _convolution(4, False)
+
+
+@intrinsic
+def pool(context, isa, upper, lower, target):  # type: ignore[no-untyped-def]
+    """The largest of each four pixels of two rows."""
+
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        v = Vectors(builder, isa)
+        _, upper, lower, target = arguments
+
+        def larger(a: Any, b: Any) -> Any:
+            return v.greater(builder.bitcast(a, v.chars), builder.bitcast(b, v.chars))
+
+        def of_rows(k: int) -> Any:
+            a, b = (v.load(v.after(row, v.size * k), v.ints) for row in (upper, lower))
+            return builder.bitcast(larger(a, b), v.ints)
+
+        for k in range(v.count):
+            left, right = of_rows(2 * k), of_rows(2 * k + 1)
+            even, odd = (v.pick(left, right, range(first, 2 * v.lanes, 2)) for first in range(2))
+            v.store(larger(even, odd), v.after(target, v.size * k))
+        return context.get_dummy_value()
+
+    return types.void(isa, *[types.int64] * 3), emit
+
+
+@intrinsic
+def add_coarse(context, isa, fine, share, coarse, apart, target):  # type: ignore[no-untyped-def]
+    """A group's pixels, times a share, plus those of a map with half as many; as bytes.
+
+    `coarse` has a plane of floats for each channel, `apart` bytes from one to the next.
+    """
+
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        v = Vectors(builder, isa)
+        _, fine, share, coarse, apart, target = arguments
+        share = v.splat(share)
+        for k in range(v.count):
+            pixels, there = v.load(v.after(fine, v.size * k), v.ints), v.after(coarse, v.size // 2 * k)
+            sums = []
+            for channel in range(4):
+                few = v.load(there, v.half_of_floats)
+                added = v.pick(few, few, [lane // 2 for lane in range(v.lanes)])
+                sums.append(v.multiply_add(builder.sitofp(v.byte(pixels, channel), v.floats), share, added))
+                there = builder.add(there, apart)
+            v.store(v.bytes_of(sums), v.after(target, v.size * k))
+        return context.get_dummy_value()
+
+    return types.void(isa, types.int64, types.float32, *[types.int64] * 3), emit
+
+
+@intrinsic
+def fill(context, address, value):  # type: ignore[no-untyped-def]
+    """Set all four bytes of a pixel of a group."""
+
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        address, value = arguments
+        four = builder.mul(builder.trunc(value, I32), I32(0x01010101))
+        builder.store(four, builder.inttoptr(address, I32.as_pointer()), align=1)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), emit

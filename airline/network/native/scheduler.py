@@ -1,0 +1,46 @@
+"""Threads that go through the phases of a piece of work in compiled code, and wait for no one to start.
+
+Each phase needs the one before, and has parts. Whoever comes takes parts that nobody has: thread k of n begins with the
+k-th share of a phase, so that it finds in its cache what it made itself, and then helps the others. A phase is over
+when all its parts are done; a thread that comes late finds nothing left to do.
+
+The marks are int32, zeros at first: for each phase how many parts are done, then for each part whether it is taken.
+"""
+
+from __future__ import annotations
+
+from airline.kernels.atomics import add_one, let_others_run, look, swap_in_one
+from airline.kernels.compiled import njit
+
+PATIENCE = 2000  # looks at what is not done yet, before other programs may have the core
+
+
+@njit(inline="always")
+def bounds(marks, rows, unit, part):  # type: ignore[no-untyped-def]
+    """First and last + 1 of the rows of a part; parts begin at multiples of `unit`, and may be empty."""
+    parts, units = marks.shape[1] - 1, -(-rows // unit)
+    return units * part // parts * unit, min(units * (part + 1) // parts * unit, rows)
+
+
+@njit(inline="always")
+def next_part(marks, phase, turn, who, crew):  # type: ignore[no-untyped-def]
+    """The part that thread `who` of `crew` comes to in its `turn`, if it is ours now; else -1."""
+    parts = marks.shape[1] - 1
+    part = (turn + who * parts // crew) % parts
+    return part if swap_in_one(marks[phase, part + 1 :].ctypes.data) == 0 else -1
+
+
+@njit(inline="always")
+def finish(marks, phase):  # type: ignore[no-untyped-def]
+    """A part of ours is done."""
+    add_one(marks[phase:].ctypes.data)
+
+
+@njit(inline="always")
+def wait(marks, phase):  # type: ignore[no-untyped-def]
+    """Until all parts of a phase are done."""
+    address, looks = marks[phase:].ctypes.data, 0
+    while look(address) < marks.shape[1] - 1:
+        looks += 1
+        if looks > PATIENCE:
+            let_others_run()

@@ -1,0 +1,257 @@
+"""Stage 4: line parameters of a region, by voting of its pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from airline.kernels.compiled import njit
+from airline.kernels.threads import ALONE, Team
+from airline.lines import LineSet
+from airline.stages.extend_ends import reach
+from airline.stages.join_collinear import join
+from airline.stages.pixels import EdgePixels
+from airline.stages.score_parts import line_scores, score
+from airline.stages.split_regions import fit_regions, residual
+
+
+class LineFitter(Protocol):
+    """Turns regions of edge pixels into segments."""
+
+    def fit(
+        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
+    ) -> tuple[LineSet, NDArray[np.int32]]:
+        """Segments of the regions.
+
+        Args:
+            edge: M edge pixels.
+            descriptors: (M, C) float32 unit rows.
+            regions: (M,) int32 region of each pixel, -1 for none.
+
+        Returns:
+            The N lines, and (M,) int32 the line of each pixel, -1 for none.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class TotalLeastSquaresFitter:
+    """Weighted total least squares over sub-pixel ridge positions; weights are edge probabilities.
+
+    A region that bends more than `max_deviation` is cut at its farthest pixel from the chord and each part is fitted
+    alone (Ramer 1972, Douglas and Peucker 1973). Neighbouring collinear lines are then joined: pixel moments add up,
+    so a joint fit costs nothing. End points start at the projections of the outermost pixels and move on along the
+    line while the edge map stays above half the line's mean strength: pixels near corners mix two orientations and
+    belong to no region, yet the line runs on to the corner.
+
+    Attributes:
+        min_length: shorter lines are dropped, px.
+        max_deviation: a region may leave its chord by this much, px.
+        max_gap: collinear lines that end within this distance of each other are joined, px; 0 joins none.
+        max_offset: joined lines may miss each other's axis by this much at the gap, px.
+        max_angle: and differ in direction by this much, degrees.
+        max_reach: end points move on along the edge by at most this much, px, and a quarter of the line's length.
+        min_score: lines with a lower score (`airline.stages.score_parts`) are dropped, in [0, 1].
+        team: threads that share the work.
+    """
+
+    min_length: float = 8.0
+    max_deviation: float = 2.5
+    max_gap: float = 5.0
+    max_offset: float = 1.0
+    max_angle: float = 8.0
+    max_reach: float = 14.0
+    min_score: float = 0.15
+    team: Team = field(default=ALONE, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if (
+            min(self.min_length, self.max_gap, self.max_offset, self.max_angle, self.max_reach, self.min_score) < 0
+            or self.max_deviation <= 0
+        ):
+            raise ConfigError("fit lengths, angles and scores must not be negative and max_deviation must be positive")
+
+    def fit(
+        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
+    ) -> tuple[LineSet, NDArray[np.int32]]:
+        """See `LineFitter.fit`."""
+        order, offsets = group(regions)
+        rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation, self.team)
+        merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
+        return self.choose(edge.support, descriptors, rows, bounds, moments, merged)
+
+    def choose(
+        self,
+        support: NDArray[np.float32],
+        descriptors: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        bounds: NDArray[np.int64],
+        moments: NDArray[np.float64],
+        merged: NDArray[np.int64],
+    ) -> tuple[LineSet, NDArray[np.int32]]:
+        """The second half of `fit`: end points, scores, and which parts are lines.
+
+        Args:
+            support: (H, W) the edge map.
+            descriptors: (M, C) of all pixels.
+            rows, bounds, moments: the parts, see `split_regions.fit_regions`; their end points are changed.
+            merged: the part that each part became one with, see `airline.stages.join_collinear.join`.
+        """
+        scores = np.empty(len(moments), np.float32)
+
+        def extend(start: int, end: int) -> None:
+            reach(moments, merged, support, self.max_reach, start, end)
+            score(moments, merged, support, scores, start, end)
+
+        self.team.share(len(moments), 32, extend)
+        lines_of, segments, scores, residuals = _choose(moments, merged, scores, self.min_length, self.min_score)
+        labels, means = vote(rows, bounds, lines_of, descriptors, len(segments))
+        return LineSet(segments, scores, means, residuals), labels
+
+
+@dataclass(frozen=True)
+class PaperFitter:
+    """The paper's voting (equation 5), with each vector turned to agree with the running sum.
+
+    As printed, the tangent `sum(x - m)` is zero; so, as in the released code, the sign of each vector is flipped
+    where it opposes the sum so far. The end points are the projection of the farthest pixel, to both sides.
+    """
+
+    def fit(
+        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
+    ) -> tuple[LineSet, NDArray[np.int32]]:
+        """See `LineFitter.fit`."""
+        order, offsets = group(regions)
+        segments = _paper_fit(edge.positions, order, offsets)
+        scores = line_scores(edge.support, segments.reshape(-1, 4))
+        numbers = np.arange(len(segments), dtype=np.int32)
+        bounds = np.stack([offsets[:-1], offsets[1:]], axis=1)
+        _, means = vote(order, bounds, numbers, descriptors, len(segments))
+        return LineSet(segments, scores, means), regions
+
+
+@njit()
+def group(labels):  # type: ignore[no-untyped-def]
+    """Rows sorted by label, and where each label's rows begin: label k owns `order[offsets[k]:offsets[k + 1]]`.
+
+    Rows of label -1 come first; all keep their order.
+    """
+    last = -1
+    for label in labels:
+        last = max(last, label)
+    offsets = np.zeros(last + 3, np.int64)
+    for label in labels:
+        offsets[label + 2] += 1
+    for k in range(1, last + 3):
+        offsets[k] += offsets[k - 1]
+    order = np.empty(len(labels), np.int64)
+    following = offsets.copy()
+    for row in range(len(labels)):
+        place = labels[row] + 1
+        order[following[place]] = row
+        following[place] += 1
+    return order, offsets[1:].copy()
+
+
+def vote(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int64],
+    lines_of: NDArray[np.int32],
+    descriptors: NDArray[np.float32],
+    count: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Line of each pixel by its part, and the mean descriptor of each line's pixels.
+
+    Args:
+        rows: (K,) pixels, those of a part together.
+        bounds: (P, 2) where each part begins and ends among them.
+        lines_of: (P,) line of each part, -1 for none.
+        descriptors: (M, C) of all pixels.
+        count: N, number of lines.
+
+    Returns:
+        (M,) int32, -1 for none, and (N, C) float32 unit rows.
+    """
+    channels = tuple(range(descriptors.shape[1]))
+    labels, means = _vote(rows, bounds, lines_of, descriptors, count, channels)
+    return labels, means
+
+
+@njit()
+def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
+    """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
+    labels = np.full(len(descriptors), -1, np.int32)
+    sums = np.zeros((count, len(channels)), np.float32)
+    for part in range(len(lines_of)):
+        line = lines_of[part]
+        if line < 0:
+            continue
+        total = sums[line]
+        for k in range(bounds[part, 0], bounds[part, 1]):
+            row = rows[k]
+            labels[row] = line
+            for c in range(len(channels)):
+                total[c] += descriptors[row, c]
+    for line in range(count):
+        squared = np.float32(0)
+        for c in range(len(channels)):
+            squared += sums[line, c] * sums[line, c]
+        norm = max(np.sqrt(squared), np.float32(1e-12))
+        for c in range(len(channels)):
+            sums[line, c] /= norm
+    return labels, sums
+
+
+@njit()
+def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
+    """The line number of each part (-1: none); segments, scores and residuals of the survivors that are long and sure
+    enough.
+    """
+    count = len(moments)
+    numbers = np.full(count, -1, np.int32)
+    segments, sure, residuals = np.empty((count, 2, 2), np.float32), np.empty_like(scores), np.empty_like(scores)
+    lines = 0
+    for i in range(count):
+        length = np.hypot(moments[i, 8] - moments[i, 6], moments[i, 9] - moments[i, 7])
+        if owner[i] == i and length >= min_length and scores[i] >= min_score:
+            numbers[i] = lines
+            for end in range(2):
+                segments[lines, end, 0], segments[lines, end, 1] = moments[i, 6 + 2 * end], moments[i, 7 + 2 * end]
+            sure[lines], residuals[lines] = scores[i], residual(moments[i])
+            lines += 1
+    for i in range(count):
+        root = i
+        while owner[root] != root:
+            root = owner[root]
+        numbers[i] = numbers[root]
+    return numbers, segments[:lines].copy(), sure[:lines].copy(), residuals[:lines].copy()
+
+
+@njit()
+def _paper_fit(positions, order, offsets):  # type: ignore[no-untyped-def]
+    segments = np.empty((len(offsets) - 1, 2, 2), np.float32)
+    for region in range(len(offsets) - 1):
+        rows = order[offsets[region] : offsets[region + 1]]
+        mx, my = 0.0, 0.0
+        for row in rows:
+            mx += positions[row, 0]
+            my += positions[row, 1]
+        mx, my = mx / len(rows), my / len(rows)
+        vx, vy, fx, fy, farthest = 0.0, 0.0, 0.0, 0.0, -1.0
+        for row in rows:
+            x, y = positions[row, 0] - mx, positions[row, 1] - my
+            sign = 1.0 if x * vx + y * vy >= 0 else -1.0
+            vx += sign * x
+            vy += sign * y
+            if x * x + y * y > farthest:
+                farthest, fx, fy = x * x + y * y, x, y
+        norm = max(np.hypot(vx, vy), 1e-12)
+        vx, vy = vx / norm, vy / norm
+        reach = abs(vx * fx + vy * fy)
+        segments[region, 0] = mx - reach * vx, my - reach * vy
+        segments[region, 1] = mx + reach * vx, my + reach * vy
+    return segments

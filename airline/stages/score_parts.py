@@ -1,0 +1,80 @@
+"""How sure a line is: the strength of the edge map along it, and its length."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from airline.kernels.compiled import njit
+from airline.kernels.sampling import lay, total_of
+
+SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
+
+
+@njit()
+def line_scores(support, ends):  # type: ignore[no-untyped-def]
+    """(N,) float32 scores in [0, 1] of lines with end points (N, 4), px; see `line_score`."""
+    scores = np.empty(len(ends), np.float32)
+    room = room_for_samples(support)
+    for i in range(len(ends)):
+        scores[i] = line_score(support, ends[i, 0], ends[i, 1], ends[i, 2], ends[i, 3], room)
+    return scores
+
+
+@njit()
+def score(moments, owner, support, scores, start, end):  # type: ignore[no-untyped-def]
+    """Set the scores of the surviving parts (rows as in `airline.stages.split_regions`) from `start` to `end`."""
+    room = room_for_samples(support)
+    for i in range(start, end):
+        if owner[i] == i:
+            scores[i] = line_score(support, moments[i, 6], moments[i, 7], moments[i, 8], moments[i, 9], room)
+
+
+@njit()
+def line_score(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
+    """Score of one line, `mean strength * length / (length + SHORT)`.
+
+    Of the scores tried on held-out photographs and rendered scenes, in good light and in the dark, it told true lines
+    from false ones best; the strength alone trusts short lines too much.
+    """
+    length = np.hypot(x1 - x0, y1 - y0)
+    return np.float32(min(1.0, strength(support, x0, y0, x1, y1, room) * length / (length + SHORT)))
+
+
+@njit()
+def room_for_samples(support):  # type: ignore[no-untyped-def]
+    """What `strength` needs: the map's values in a row, and arrays for `sampling` that hold any line."""
+    height, width = support.shape
+    most = int(np.hypot(width, height)) + 2
+    return support.reshape(height * width), np.empty(most, np.int32), np.empty(2 * most, np.float32)
+
+
+@njit()
+def strength(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
+    """Mean of the map along a line, sampled about every pixel."""
+    height, width = support.shape
+    samples = max(2, int(np.hypot(x1 - x0, y1 - y0)))
+    dx, dy = (x1 - x0) / (samples - 1), (y1 - y0) / (samples - 1)
+    inside = min(x0, x1, y0, y1) >= -0.5 and max(x0, x1) <= width - 0.5 and max(y0, y1) <= height - 0.5
+    if inside and min(height, width) > 1:
+        values, places, work = room
+        x, y = np.float32(x0), np.float32(y0)
+        lay(width, height, x, y, np.float32(dx), np.float32(dy), 0, samples, places, work)
+        return total_of(values, width, 0, samples, places, work) / samples
+    total = 0.0
+    for k in range(samples):
+        total += bilinear(support, x0 + k * dx, y0 + k * dy)
+    return total / samples
+
+
+@njit()
+def bilinear(image, x, y):  # type: ignore[no-untyped-def]
+    """Value between pixels; 0 more than half a pixel outside the image."""
+    height, width = image.shape
+    if x < -0.5 or y < -0.5 or x > width - 0.5 or y > height - 0.5:
+        return 0.0
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    fx, fy = x - column, y - row
+    right, below = min(column + 1, width - 1), min(row + 1, height - 1)
+    top = (1 - fx) * image[row, column] + fx * image[row, right]
+    return (1 - fy) * top + fy * ((1 - fx) * image[below, column] + fx * image[below, right])

@@ -1,0 +1,112 @@
+"""Camera models: from pixels to normalised image coordinates and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.errors import ConfigError
+from frontend.camera.distortion import (
+    distort_equidistant,
+    distort_radial_tangential,
+    undistort_equidistant,
+    undistort_radial_tangential,
+)
+
+Distortion = Literal["none", "radial-tangential", "equidistant"]
+
+
+def _no_coefficients() -> NDArray[np.float64]:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A pinhole camera with optional lens distortion.
+
+    Attributes:
+        width, height: image size, px.
+        fx, fy, cx, cy: focal lengths and principal point, px, with (0, 0) at the centre of the top-left pixel.
+        distortion: "none", "radial-tangential" (k1, k2, p1, p2[, k3[, k4, k5, k6]]: OpenCV, ROS plumb_bob and
+            rational_polynomial) or "equidistant" (k1..k4: the Kannala-Brandt fisheye of OpenCV and Kalibr).
+        coefficients: the distortion's coefficients in that order.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion = "none"
+    coefficients: NDArray[np.float64] = field(default_factory=_no_coefficients)
+
+    def __post_init__(self) -> None:
+        sizes = {"none": (0,), "radial-tangential": (4, 5, 8), "equidistant": (4,)}.get(self.distortion)
+        if sizes is None:
+            raise ConfigError(f"unknown distortion '{self.distortion}': use none, radial-tangential or equidistant")
+        if len(self.coefficients) not in sizes:
+            expected = " or ".join(map(str, sizes))
+            raise ConfigError(
+                f"{self.distortion} distortion takes {expected} coefficients, not {len(self.coefficients)}"
+            )
+        if self.fx <= 0 or self.fy <= 0:
+            raise ConfigError("focal lengths must be positive pixels")
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(3, 3) float64 intrinsic matrix, px."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    def normalize(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Undistorted coordinates on the plane z = 1 of pixel positions; the inverse of `project`.
+
+        Args:
+            points: (..., 2) pixel positions (x, y).
+
+        Returns:
+            (..., 2) float32 normalised coordinates, exact to float32. Both are NaN where the distortion has no inverse:
+            beyond the radius at which it folds the image back, and 90 degrees and more off the axis.
+        """
+        flat = np.asarray(points, np.float64).reshape(-1, 2)
+        plane = (flat - (self.cx, self.cy)) / (self.fx, self.fy)
+        if self.distortion == "radial-tangential":
+            plane = undistort_radial_tangential(plane, self.coefficients)
+        elif self.distortion == "equidistant":
+            plane = undistort_equidistant(plane, self.coefficients)
+        return np.asarray(plane.reshape(np.shape(points)), np.float32)
+
+    def project(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Pixel positions of undistorted coordinates on the plane z = 1; the inverse of `normalize`.
+
+        Args:
+            points: (..., 2) normalised coordinates (X / Z, Y / Z) of points before the camera.
+
+        Returns:
+            (..., 2) float32 px, which may lie outside of the image; NaN outside of the distortion's domain, where
+            it would fold them back into the image.
+        """
+        plane = np.asarray(points, np.float64).reshape(-1, 2)
+        if self.distortion == "radial-tangential":
+            plane = distort_radial_tangential(plane, self.coefficients)
+        elif self.distortion == "equidistant":
+            plane = distort_equidistant(plane, self.coefficients)
+        pixels = plane * (self.fx, self.fy) + (self.cx, self.cy)
+        return np.asarray(pixels.reshape(np.shape(points)), np.float32)
+
+    def scaled(self, width: int, height: int) -> CameraModel:
+        """The same camera for images resized to width x height px."""
+        sx, sy = width / self.width, height / self.height
+        return CameraModel(
+            width,
+            height,
+            self.fx * sx,
+            self.fy * sy,
+            (self.cx + 0.5) * sx - 0.5,
+            (self.cy + 0.5) * sy - 0.5,
+            self.distortion,
+            self.coefficients,
+        )

@@ -1,0 +1,220 @@
+"""The edge network in vector code of our own: torch's edges, with any instructions, size, shape and threads."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline import AirLine
+from airline.errors import ConfigError
+from airline.evaluation.metrics import score
+from airline.kernels.compiled import njit
+from airline.network.native import memory
+from airline.network.native import network as native
+from airline.network.native.network import NativeNetwork
+from airline.network.native.quantise import LARGEST, MOST, quantise
+from airline.network.native.scheduler import bounds, finish, next_part, wait
+from airline.network.native.vectors import AVX2, AVX2_VNNI, AVX512_VNNI, Isa
+from airline.network.processor import _has, vector_instructions
+from airline.network.runtimes import open_network
+from airline.network.spec import SPECS, UNetSpec
+from airline.network.torch_cpu import TorchNetwork
+from airline.network.unet import UNet
+from airline.network.weights import load_ranges, load_weights, save_unet
+from airline.training.ranges import measure_ranges
+from frontend.sources.scene import SceneSource
+
+if vector_instructions() is None:
+    pytest.skip("needs a processor with AVX2", allow_module_level=True)
+
+# with what each needs: the narrower ones are run by whoever has the wider ones
+ISAS = {"AVX512_VNNI": (AVX512_VNNI, "avx512vnni"), "AVX2_VNNI": (AVX2_VNNI, "avx512vnni"), "AVX2": (AVX2, "avx2")}
+
+
+@pytest.fixture(scope="module")
+def scene() -> np.ndarray:
+    image: np.ndarray = next(iter(SceneSource())).image[:, :, 1]
+    return image
+
+
+def with_instructions(weights: str | Path, isa: Isa, monkeypatch: pytest.MonkeyPatch) -> NativeNetwork:
+    monkeypatch.setattr(native, "vector_instructions", lambda: isa)
+    return NativeNetwork(weights, 2)
+
+
+def assert_close(ours: np.ndarray, theirs: np.ndarray, most: float = 0.2, mean: float = 0.012) -> None:
+    """`most` holds for all but one pixel in 10,000."""
+    assert ours.shape == theirs.shape
+    assert ours.dtype == theirs.dtype == np.float32
+    difference = np.abs(ours - theirs)
+    assert np.quantile(difference, 1 - 1e-4, method="lower") <= most
+    assert difference.mean() <= mean
+
+
+@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize("weights", ["default", "fast", "accurate"])
+def test_agrees_with_torch(scene: np.ndarray, weights: str, isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    instructions, feature = ISAS[isa]
+    if not _has(feature):
+        pytest.skip(f"needs a processor with {feature}")
+    ours, theirs = with_instructions(weights, instructions, monkeypatch), TorchNetwork(weights)
+    low_contrast = (195 + scene / 25).astype(np.uint8)
+    dark16 = (scene.astype(np.uint16) // 4 + 20_000).astype(np.uint16)
+    for image in (scene, scene[:240, 5:219], scene[::2, ::3], scene[:, ::-1], low_contrast, dark16):
+        assert_close(ours(image), theirs(image), *((0.2, 0.012) if instructions[1] else (0.35, 0.02)))
+
+
+def test_finds_the_same_lines(scene: np.ndarray) -> None:
+    ours, theirs = AirLine(runtime="native")(scene), AirLine(runtime="torch")(scene)
+    assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)
+    same = score(ours.segments, theirs.segments, theirs.segments, scene.shape)
+    assert min(same.p1, same.r1) > 0.97, "pixels of the lines within 1 px of the others'"
+
+
+@given(height=st.integers(1, 70), width=st.integers(1, 70), seed=st.integers(0, 99))
+@settings(max_examples=25, deadline=None)
+def test_any_size(height: int, width: int, seed: int) -> None:
+    image = np.random.default_rng(seed).integers(0, 256, (height, width), np.uint8)
+    assert_close(OURS(image), THEIRS(image), mean=0.02)
+
+
+OURS, THEIRS = NativeNetwork("fast"), TorchNetwork("fast")
+
+
+@pytest.mark.parametrize(
+    "spec", [UNetSpec((12, 20), smoothed=1), UNetSpec((3, 9, 4), smoothed=4), UNetSpec((8, 16, 24, 8, 8), smoothed=0)]
+)
+def test_every_shape_of_network(tmp_path: Path, spec: UNetSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Channels that fill no group and no block among them."""
+    torch.manual_seed(1)
+    net = UNet(spec).eval()
+    image = np.random.default_rng(0).integers(0, 256, (100, 90), np.uint8)
+    save_unet(net, tmp_path / "net.safetensors", measure_ranges(net, [image]))
+    for isa, feature in ISAS.values():
+        if _has(feature):
+            ours = with_instructions(tmp_path / "net.safetensors", isa, monkeypatch)
+            assert_close(ours(image), TorchNetwork(net)(image), 0.05, 0.005)
+
+
+GUARD = 4096  # bytes
+
+
+@pytest.mark.parametrize("spec", [UNetSpec((3, 9, 4), smoothed=4), SPECS["default"]])
+def test_nothing_is_written_beyond_the_maps(tmp_path: Path, spec: UNetSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled code looks at no bounds."""
+    made = []
+
+    def guarded(shape: tuple[int, ...]) -> np.ndarray:
+        size = math.prod(shape)
+        made.append(np.full(size + 2 * GUARD, 171, np.uint8))
+        room = made[-1][GUARD : GUARD + size]
+        room[:] = 0
+        return room.reshape(shape)
+
+    monkeypatch.setattr(memory, "_room", guarded)
+    rng, net = np.random.default_rng(0), UNet(spec).eval()
+    save_unet(net, tmp_path / "net.safetensors", measure_ranges(net, [rng.integers(0, 256, (64, 64), np.uint8)]))
+    for isa, feature in ISAS.values():
+        if _has(feature):
+            network = with_instructions(tmp_path / "net.safetensors", isa, monkeypatch)
+            for height, width in rng.integers(1, 140, (12, 2)):
+                network(rng.integers(0, 256, (height, width), np.uint8))
+    assert len(made) > 100
+    assert all((room[:GUARD] == 171).all() and (room[-GUARD:] == 171).all() for room in made)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("level", [0, 1])
+def test_flat_and_harsh_images(level: int, kind: type) -> None:
+    most = np.iinfo(kind).max
+    flat = np.full((64, 96), level * most, kind)
+    assert_close(OURS(flat), THEIRS(flat))
+    half = flat.copy()
+    half[:, 48:] = (1 - level) * most
+    assert_close(OURS(half), THEIRS(half))
+    single = flat.copy()  # 78 deviations from the mean, more than 8 bits hold
+    single[30, 40] = (1 - level) * most
+    edges = OURS(single)
+    assert ((edges >= 0) & (edges <= 1)).all()
+    assert edges[28:33, 38:43].max() > 0.15, "it is seen"
+
+
+@pytest.mark.parametrize("name", ["default", "fast", "accurate"])
+def test_no_sum_of_products_leaves_32_bits(name: str) -> None:
+    assert 2 * MOST * 63 < 1 << 15, "without VNNI two products are added in 16 bits"
+    spec, weights = load_weights(name)
+    for largest in (63, 127):
+        quantised = quantise(spec, weights, load_ranges(name), largest)
+        for layer in (*quantised.down, *quantised.lateral, *quantised.up, quantised.head):
+            sizes = np.abs(layer.weights.astype(np.int64))
+            assert sizes.max() == largest
+            assert MOST * sizes.sum(axis=(1, 2, 4)).max() < 1 << 31
+        words = np.abs(quantised.copies.weights.astype(np.int64)).sum(axis=(1, 2, 4))
+        assert (LARGEST + 1) * words.max() < 1 << 31
+
+
+def test_any_number_of_threads_gives_the_same_bits(scene: np.ndarray) -> None:
+    alone = NativeNetwork("default", 1)(scene)
+    for threads in (2, 3, 4):
+        np.testing.assert_array_equal(NativeNetwork("default", threads)(scene), alone)
+
+
+@njit()
+def _count_up(totals, marks, who, crew):  # type: ignore[no-untyped-def]
+    """Each phase takes what the one before left in all rows."""
+    for phase in range(marks.shape[0]):
+        for turn in range(marks.shape[1] - 1):
+            part = next_part(marks, phase, turn, who, crew)
+            if part >= 0:
+                first, last = bounds(marks, totals.shape[1], 2, part)
+                for row in range(first, last):
+                    totals[phase + 1, row] = totals[phase].sum() + 1
+                finish(marks, phase)
+        wait(marks, phase)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 64])
+@pytest.mark.parametrize("crew", [1, 2, 5])
+def test_a_phase_begins_when_the_one_before_is_done(rows: int, crew: int) -> None:
+    totals, marks = np.zeros((5, rows)), np.zeros((4, 9), np.int32)
+    with ThreadPoolExecutor(crew) as pool:
+        list(pool.map(lambda who: _count_up(totals, marks, who, crew), range(crew)))
+    expected = np.zeros(rows)
+    for phase in range(1, 5):
+        expected = np.full(rows, expected.sum() + 1)
+        np.testing.assert_array_equal(totals[phase], expected)
+    _count_up(totals, marks, 0, crew)  # too late: nothing is left
+    np.testing.assert_array_equal(totals[4], expected)
+
+
+def test_what_it_cannot_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_unet(UNet(UNetSpec((4, 8))), tmp_path / "no_ranges.safetensors")
+    deep = UNet(UNetSpec((4, 8), convs=2))
+    image = np.zeros((64, 64), np.uint8)
+    save_unet(deep, tmp_path / "two_convs.safetensors", measure_ranges(deep.eval(), [image]))
+    for name in ("no_ranges", "two_convs"):
+        path = tmp_path / f"{name}.safetensors"
+        with pytest.raises(ConfigError, match="8-bit numbers: use --runtime openvino"):
+            open_network(path, "native")
+        assert not open_network(path).name.startswith("native")
+    with pytest.raises(ConfigError, match="from a file"):
+        open_network(UNet(SPECS["fast"]), "native")
+    monkeypatch.setattr(native, "vector_instructions", lambda: None)
+    with pytest.raises(ConfigError, match="lacks AVX2"):
+        open_network("fast", "native")
+    assert not open_network("fast").name.startswith("native")
+
+
+def test_needs_neither_torch_nor_openvino() -> None:
+    code = "import sys, numpy, airline; airline.AirLine(runtime='native')(numpy.zeros((64, 64), numpy.uint8)); "
+    code += "sys.exit(bool({'torch', 'openvino'} & sys.modules.keys()))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,247 @@
+"""The training loop with real steps of tiny networks: repeatable, resumable, measured without being disturbed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from airline.errors import ConfigError, InputError
+from airline.network.spec import SPECS, UNetSpec
+from airline.network.unet import UNet
+from airline.network.weights import load_unet, save_unet
+from airline.stages.edges import UNetEdges
+from airline.training import checkpoint
+from airline.training.batches import batches, make_batch
+from airline.training.dataset import Sample
+from airline.training.loop import State, find_device, train
+from airline.training.loss import PixelWeights, edge_loss
+from airline.training.schedule import Schedule
+from airline.training.validation import Validation, split
+from tests.helpers.pictures import labelled, picture
+
+SMALL = UNetSpec((8, 16, 32))
+SETTINGS = {"--steps": 6, "--minutes": None, "--seed": 0}
+WEIGH = PixelWeights()
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    return [labelled(seed) for seed in range(3)]
+
+
+def fresh(seed: int = 0, spec: UNetSpec = SMALL) -> State:
+    torch.manual_seed(seed)
+    return State(UNet(spec, norm=True), CPU)
+
+
+def run(
+    state: State, samples: list[Sample], steps: int, after: Callable[[float], bool] = lambda loss: False, seed: int = 1
+) -> State:
+    train(state, samples, Schedule(steps, batch=2, crop=64, warmup=2), seed, WEIGH, after)
+    return state
+
+
+def same(a: State, b: State) -> bool:
+    """Same weights, batch-norm statistics and optimiser moments, to the last bit."""
+    moments = [[row[key] for row in s.optimiser.state.values() for key in ("exp_avg", "exp_avg_sq")] for s in (a, b)]
+    tensors = [[*s.net.state_dict().values(), *rows] for s, rows in zip((a, b), moments, strict=True)]
+    return all(torch.equal(one, other) for one, other in zip(*tensors, strict=True))
+
+
+def test_a_few_steps_lower_the_loss_and_repeat_exactly(samples):
+    image, target, weights = make_batch(samples, Schedule(60, batch=2, crop=64), WEIGH, (9, 9))
+    before = edge_loss(fresh().net.eval()(image), target, weights).item()
+    first, second = run(fresh(), samples, 60), run(fresh(), samples, 60)
+    assert same(first, second), "the same seed gives the same weights"
+    assert edge_loss(first.net.eval()(image), target, weights).item() < 0.85 * before
+    assert not same(run(fresh(), samples, 3, seed=1), run(fresh(), samples, 3, seed=2))
+
+
+@pytest.mark.parametrize("stop", [1, 3, 6])
+def test_a_stopped_training_goes_on_as_if_nothing_had_happened(samples, tmp_path, stop):
+    whole = run(fresh(), samples, 6)
+    stopped = fresh()
+    run(stopped, samples, 6, lambda loss: stopped.step == stop)
+    assert stopped.step == stop
+    checkpoint.save(stopped, SETTINGS, stop == 6, tmp_path / "state")
+    resumed = fresh(seed=5)  # what it starts from must not matter
+    checkpoint.restore(resumed, SETTINGS, tmp_path / "state")
+    assert (resumed.step, resumed.seconds) == (stop, stopped.seconds)
+    run(resumed, samples, 6)
+    assert resumed.step == 6
+    assert same(resumed, whole)
+
+
+def test_threads_that_make_batches_change_nothing(samples):
+    schedule = Schedule(1, batch=2, crop=64)
+    for first in (0, 5):
+        one, four = (batches(samples, schedule, WEIGH, 3, first, workers) for workers in (1, 4))
+        for step in range(first, first + 6):
+            expected = make_batch(samples, schedule, WEIGH, (3, step))
+            for made in (next(one), next(four)):
+                assert all(torch.equal(a, b) for a, b in zip(made, expected, strict=True))
+        one.close()
+        four.close()
+
+
+def test_learning_rate_follows_the_steps_or_the_clock():
+    steps = Schedule(1000, warmup=100)
+    clock = Schedule(minutes=10, warmup=100)
+    for schedule in (steps, clock):
+        assert schedule.rate(0, 0) == pytest.approx(2e-5)
+        assert schedule.rate(99, 0) == pytest.approx(2e-3)
+    assert steps.rate(100, 1e9) == pytest.approx(2e-3), "whatever the clock says"
+    assert steps.rate(550, 0) == pytest.approx(0.505 * 2e-3)
+    assert steps.rate(1000, 0) == pytest.approx(2e-5)
+    assert clock.rate(5000, 300) == clock.rate(200, 300) == pytest.approx(0.505 * 2e-3)
+    assert clock.rate(5000, 600) == clock.rate(5000, 700) == pytest.approx(2e-5)
+    assert steps.done(250, 1e9) == clock.done(10**9, 150) == 0.25
+    for both_or_none in ({}, {"steps": 1, "minutes": 1.0}):
+        with pytest.raises(ValueError, match="either"):
+            Schedule(**both_or_none)
+
+
+def test_the_clock_ends_a_training_and_goes_on_where_it_was(samples):
+    schedule = Schedule(minutes=0.3 / 60, batch=2, crop=64)
+    state = fresh()
+    train(state, samples, schedule, 0, WEIGH, lambda loss: state.step == 1)
+    before = state.seconds
+    assert 0 < before < 0.3
+    train(state, samples, schedule, 0, WEIGH)
+    assert state.step > 1
+    assert 0.3 <= state.seconds < 3
+    steps = state.step
+    train(state, samples, schedule, 0, WEIGH)
+    assert state.step == steps, "the time is up"
+
+
+def test_a_checkpoint_of_other_settings_is_refused(samples, tmp_path):
+    path = tmp_path / "state"
+    checkpoint.save(run(fresh(), samples, 1), SETTINGS, False, path)
+    for name, value in (("--steps", 8), ("--steps", 4), ("--seed", 1), ("--minutes", 2.0)):
+        state = fresh()
+        with pytest.raises(InputError, match=f"other settings .*{name} was {SETTINGS[name]} and is {value}"):
+            checkpoint.restore(state, {**SETTINGS, name: value}, path)
+        assert same(state, fresh()), "a refused checkpoint leaves no trace"
+    with pytest.raises(InputError, match="no checkpoint of this training"):
+        checkpoint.restore(fresh(spec=UNetSpec((8, 16))), SETTINGS, path)
+
+
+def test_only_a_finished_training_is_extended(samples, tmp_path, caplog):
+    path = tmp_path / "state"
+    checkpoint.save(run(fresh(), samples, 6), SETTINGS, True, path)
+    state = fresh()
+    with caplog.at_level("INFO", "airline.train"):
+        checkpoint.restore(state, {**SETTINGS, "--steps": 8}, path)
+    assert state.step == 6
+    assert "extended from --steps 6 to 8" in caplog.text
+    with pytest.raises(InputError, match="--steps was 6 and is 5"):
+        checkpoint.restore(fresh(), {**SETTINGS, "--steps": 5}, path)
+    with pytest.raises(InputError, match="--seed was 0 and is 1"):
+        checkpoint.restore(fresh(), {**SETTINGS, "--steps": 8, "--seed": 1}, path)
+
+
+def test_a_damaged_checkpoint_is_a_clear_error(samples, tmp_path):
+    path = tmp_path / "state"
+    checkpoint.save(run(fresh(), samples, 1), SETTINGS, False, path)
+    whole = path.read_bytes()
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 0xFF
+    for damaged in (b"", b"no checkpoint", whole[: len(whole) // 2], whole[:-5], bytes(flipped)):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged"):
+            checkpoint.restore(fresh(), SETTINGS, path)
+    for content, reason in (([1, 2], "damaged"), ({"net": {}}, "no checkpoint of this training")):
+        torch.save(content, path)
+        with pytest.raises(InputError, match=reason):
+            checkpoint.restore(fresh(), SETTINGS, path)
+    with pytest.raises(InputError, match="cannot write"):
+        checkpoint.save(fresh(), SETTINGS, False, tmp_path / "nowhere" / "state")
+
+
+def test_a_loss_that_is_no_number_stops_the_training(samples):
+    with pytest.raises(ConfigError, match="loss is nan at step 1"):
+        train(fresh(), samples, Schedule(5, batch=2, crop=64), 0, PixelWeights(weight=float("nan")))
+
+
+def test_split_holds_out_a_twentieth_and_at_most_sixty():
+    numbered = list(range(3000))
+    for count, expected in ((2, 1), (39, 1), (40, 2), (1200, 60), (3000, 60)):
+        held_out, rest = split(numbered[:count])
+        assert held_out + rest == numbered[:count]
+        assert len(held_out) == expected
+    assert split([7]) == ([7], [7])
+
+
+def test_validation_scores_a_trained_network_and_disturbs_nothing(samples, tmp_path):
+    validation = Validation(samples[:2], samples[2:], Schedule(1, batch=2, crop=64), WEIGH)
+    scores = validation.measure(load_unet("default"), CPU)
+    assert set(scores) == {"photographs", "scenes"}
+    assert scores["photographs"].f2 > 70
+    untrained = fresh()
+    blank = validation.measure(untrained.net, CPU)
+    assert blank["photographs"].f2 < scores["photographs"].f2 - 20
+    assert blank["photographs"].loss > scores["photographs"].loss
+
+    def watched(loss: float) -> bool:
+        validation.measure(untrained.net, CPU)
+        return False
+
+    assert same(run(untrained, samples, 3, watched), run(fresh(), samples, 3))
+
+
+def test_sheets_show_image_labels_edges_and_lines(tmp_path):
+    wide = labelled(4, 200, 100)
+    validation = Validation([wide], [], Schedule(1, batch=2, crop=64), WEIGH)
+    validation.write_sheet(load_unet("default"), CPU, tmp_path / "sheet.png")
+    sheet = cv2.imread(str(tmp_path / "sheet.png"))
+    assert sheet.shape == (204, 4 * 404, 3)
+    image, labels, edges, lines = (sheet[:200, 404 * k : 404 * k + 400].astype(float) for k in range(4))
+    assert np.corrcoef(cv2.resize(wide.gray, (400, 200)).ravel(), image[..., 0].ravel())[0, 1] > 0.99
+    assert np.corrcoef(labels[..., 0].ravel(), edges[..., 0].ravel())[0, 1] > 0.5
+    coloured = np.ptp(lines, axis=2) > 60
+    assert labels[coloured].mean() > 4 * labels[~coloured].mean()
+    with pytest.raises(InputError, match="cannot write"):
+        validation.write_sheet(load_unet("default"), CPU, tmp_path / "nowhere" / "sheet.png")
+
+
+def test_the_network_is_measured_as_it_will_be_used(tmp_path):
+    state = fresh()
+    save_unet(state.net, tmp_path / "net.safetensors")
+    gray = picture(3, 151, 97)  # no multiple of the stride
+    logits = state.net.folded().answer(torch.from_numpy(gray[None, None].astype(np.float32)))
+    used = UNetEdges(tmp_path / "net.safetensors", "cpu").detect(gray)
+    assert np.abs(torch.sigmoid(logits)[0, 0].detach().numpy() - used).max() < 1e-5
+
+
+def test_named_networks_have_the_sizes_they_are_known_by():
+    thousands = {name: sum(p.numel() for p in UNet(spec).parameters()) / 1e3 for name, spec in SPECS.items()}
+    assert thousands == pytest.approx({"default": 121.2, "fast": 39.5, "accurate": 194.0, "paper": 25_808}, rel=0.01)
+    for spec in SPECS.values():
+        assert UNet(spec)(torch.zeros(1, 1, 32, 64)).shape == (1, 1, 32, 64)
+        assert 256 % spec.stride == 0, "crops fit"
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_devices_without_cuda():
+    assert find_device("auto") == find_device("cpu") == CPU
+    with pytest.raises(ConfigError, match="no CUDA"):
+        find_device("cuda")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_training_and_validation_on_cuda(samples, tmp_path):
+    torch.manual_seed(0)
+    state = State(UNet(SMALL, norm=True), find_device("cuda"))
+    run(state, samples, 3)
+    checkpoint.save(state, SETTINGS, False, tmp_path / "state")
+    resumed = fresh()
+    checkpoint.restore(resumed, SETTINGS, tmp_path / "state")
+    assert run(resumed, samples, 4).step == 4
+    validation = Validation(samples, [], Schedule(1, batch=2, crop=64), WEIGH)
+    assert validation.measure(state.net, state.device)["photographs"].loss > 0

@@ -1,0 +1,308 @@
+"""Bad input on the command line: one clear sentence and exit code 2, or a warning and a count; nothing is lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from tests.helpers.command import EVERY_FRAME, command, recorded
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+FRAMES = 8
+EARLIER = b"an earlier recording"
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with an earlier recording in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.rrd").write_bytes(EARLIER)
+    return tmp_path
+
+
+def refuse(*arguments: object) -> str:
+    """Run, check that it is refused in one sentence and leaves no trace, and return the sentence."""
+    before = {path: path.read_bytes() for path in Path.cwd().rglob("*") if path.is_file()}
+    save = () if "--save" in arguments else ("--save", "run.rrd")
+    outcome = command(*arguments, *save)
+    assert outcome.code == 2, outcome
+    assert outcome.out == ""
+    sentence, end = outcome.err[:-1], outcome.err[-1:]
+    assert sentence.startswith("error: ")
+    assert end == "\n"
+    assert "\n" not in sentence
+    assert len(sentence) < 500
+    assert {path: path.read_bytes() for path in Path.cwd().rglob("*") if path.is_file()} == before
+    return sentence.removeprefix("error: ")
+
+
+def write_video(path: Path, clip: Path, codec: str) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, (160, 120))
+    assert writer.isOpened()
+    for number in range(3 * FRAMES):
+        writer.write(cv2.imread(str(clip / f"{number % FRAMES}.png")))
+    writer.release()
+    return path
+
+
+def write_log(path: Path, **schemas: str) -> Path:
+    """One message on each topic."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, schema in schemas.items():
+            number = writer.register_schema(schema, "jsonschema", b"{}")
+            channel = writer.register_channel(f"/{topic}", "json", number)
+            writer.add_message(channel, log_time=1, data=b"{}", publish_time=1)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("name", ["missing.mp4", "missing", "missing/*.png", "missing.mcap", "missing.png", ""])
+def test_missing_input(desk: Path, name: str) -> None:
+    assert (name or "video file") in refuse(name)
+
+
+@pytest.mark.parametrize("content", [b"", b"hello\n" * 99, bytes(9999), np.random.default_rng(0).bytes(9999)])
+@pytest.mark.parametrize("name", ["file.mp4", "file.avi", "file.png", "file.mcap", "file.bag", "file.rrd", "file"])
+def test_file_that_is_no_input(desk: Path, name: str, content: bytes) -> None:
+    (desk / name).write_bytes(content)
+    assert "file" in refuse(name)
+
+
+def test_folder_without_images(desk: Path) -> None:
+    (desk / "empty").mkdir()
+    assert "empty" in refuse("empty")
+    (desk / "empty" / "notes.txt").write_text("no image")
+    assert "empty" in refuse("empty")
+    (desk / "empty" / "0.png").write_bytes(b"no image either")
+    assert "0.png" in refuse("empty")
+
+
+def test_no_such_camera(desk: Path) -> None:
+    assert "camera 98" in refuse("98")
+
+
+def test_video_cut_before_its_index(desk: Path, clip: Path) -> None:
+    data = write_video(desk / "cut.mp4", clip, "mp4v").read_bytes()
+    (desk / "cut.mp4").write_bytes(data[: len(data) // 2])
+    assert "cut.mp4" in refuse("cut.mp4")
+
+
+def test_log_without_a_camera(desk: Path) -> None:
+    write_log(desk / "drive.mcap", scan="foxglove.LaserScan", log="foxglove.Log")
+    sentence = refuse("drive.mcap")
+    assert "no image topic" in sentence
+    assert "/scan" in sentence
+    write_log(desk / "drive.mcap")
+    assert "no image topic" in refuse("drive.mcap")
+
+
+def test_log_whose_only_picture_is_damaged(desk: Path) -> None:
+    write_log(desk / "drive.mcap", camera="foxglove.CompressedImage")
+    assert "not one image" in refuse("drive.mcap")
+    assert "/rear" in refuse("drive.mcap", "--topic", "/rear")
+
+
+def test_real_logs_without_a_camera(desk: Path) -> None:
+    logs = sorted((DATA / "mcap_without_camera").glob("*.mcap"))
+    if not logs:
+        pytest.skip("the logs are not on this machine")
+    for log in logs:
+        assert "no image topic" in refuse(log)
+
+
+def random_bytes(path: Path) -> None:
+    path.write_bytes(np.random.default_rng(0).bytes(50_000))
+
+
+def truncated_copy(path: Path) -> None:
+    from airline.network.weights import bundled_path
+
+    data = bundled_path("default").read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+
+
+def another_network(path: Path) -> None:
+    import torch
+    from safetensors.torch import save_file
+
+    save_file({"layer.weight": torch.zeros(3, 3)}, path)
+
+
+def another_shape(path: Path) -> None:
+    """The header promises one network and the tensors are of another."""
+    from safetensors.torch import load_file, save_file
+
+    from airline.network.spec import UNetSpec
+    from airline.network.weights import bundled_path
+
+    save_file(load_file(bundled_path("default")), path, metadata=UNetSpec((24, 48, 64)).to_metadata())
+
+
+def nothing(path: Path) -> None:
+    path.unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("make", [random_bytes, truncated_copy, another_network, another_shape, Path.mkdir, nothing])
+def test_wrong_weights(desk: Path, clip: Path, make: Callable[[Path], None]) -> None:
+    make(desk / "mine.safetensors")
+    assert "mine.safetensors" in refuse(clip, "--weights", "mine.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("flags", "hint"),
+    [
+        ("--colour", "--colour"),
+        ("--max 3", "--max"),  # no abbreviations: a later flag could change their meaning
+        ("--stride 0", "stride"),
+        ("--stride -1", "stride"),
+        ("--stride 1.5", "--stride"),
+        ("--stride", "--stride"),
+        ("--resize abc", "abc"),
+        ("--resize 640x", "640x"),
+        ("--resize 0x0", "resize"),
+        ("--resize 99999999999", "resize"),
+        ("--start 5 --end 2", "end"),
+        ("--start 5 --end 5", "end"),
+        ("--start -1", "start"),
+        ("--start nan", "start"),
+        ("--start inf", "start"),
+        ("--end nan", "end"),
+        ("--end inf", "end"),
+        ("--start soon", "--start"),
+        ("--start 100", "no frame"),
+        ("--max-frames 0", "frames"),
+        ("--max-frames -3", "frames"),
+        ("--fps 0", "fps"),
+        ("--fps nan", "fps"),
+        ("--fps 1e9", "frame rate"),
+        ("--topic /camera", "topic"),
+        ("--preset best", "best"),
+        ("--runtime tpu", "tpu"),
+        ("another.mp4", "another.mp4"),
+        ("--config missing.toml", "missing.toml"),
+        ("--config .", "settings file"),
+        ("--save missing/run.rrd", "missing/run.rrd"),
+        ("--save run.mp4", "run.mp4"),
+        ("--save folder.rrd", "folder.rrd"),
+        (f"--save {'x' * 300}.rrd", "xxx"),
+        ("--summary missing/run.json", "missing/run.json"),
+        ("--summary run.rrd", "run.rrd"),
+    ],
+)
+def test_impossible_flags(desk: Path, clip: Path, flags: str, hint: str) -> None:
+    (desk / "folder.rrd").mkdir()
+    assert hint in refuse(clip, *flags.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("colour = 1", "colour"),
+        ("[detector.edges]\ncolour = 1", "colour"),
+        ("[inputs]\nstride = 2", "inputs"),
+        ('input.stride = "two"', "input.stride"),
+        ("input.stride = 0", "input.stride"),
+        ("detector = 5", "detector"),
+        ("detector.edges.thin = 1", "detector.edges.thin"),
+        ("detector.grow.similarity = 1.5", "similarity"),
+        ("detector.grow.similarity = nan", "nan"),
+        ("detector.orientation.kernel_size = 4", "kernel size"),
+        ("tracker.band = -1", "band"),
+        ("recording.jpeg_quality = 500", "recording.jpeg_quality"),
+        ('preset = "best"', "best"),
+        ("preset = 7", "7"),
+        ('runtime = "tpu"', "runtime"),
+        ('detector.edges.weights = "mine.safetensors"', "mine.safetensors"),
+        ("this is not TOML", "TOML"),
+        ("a = 1\na = 2", "TOML"),
+        ("\x00\xff", "settings.toml"),
+    ],
+)
+def test_wrong_settings_file(desk: Path, clip: Path, text: str, hint: str) -> None:
+    (desk / "settings.toml").write_text(text, encoding="latin-1")
+    assert hint in refuse(clip, "--config", "settings.toml")
+
+
+def test_cuda_where_there_is_none(desk: Path, clip: Path) -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("this machine has CUDA")
+    assert "CUDA" in refuse(clip, "--runtime", "cuda")
+
+
+def test_summary_that_cannot_be_written_keeps_the_recording(desk: Path, clip: Path) -> None:
+    (desk / "run.json").mkdir()
+    outcome = command(clip, "--save", "run.rrd", "--summary", "run.json")
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: cannot write --summary run.json")
+    assert "frames/s" in outcome.out
+    assert recorded(Path("run.rrd"))["/camera/tracks"]["frame"] == list(range(FRAMES))
+
+
+def warned(caplog: pytest.LogCaptureFixture) -> str:
+    """The one warning there is."""
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    return record.getMessage()
+
+
+def skipped(clip: Path) -> int:
+    """Run the input, check that it is recorded whole as far as it was counted, and return the skipped frames."""
+    outcome = command(clip, "--save", "run.rrd", "--summary", "run.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    figures = json.loads(Path("run.json").read_text())
+    lost = figures["skipped_frames"]
+    shown = f"{figures['frames']} ({lost} skipped)" if lost else f"{figures['frames']} "
+    assert f"│ frames                      │ {shown}" in outcome.out
+    rows = recorded(Path("run.rrd"))
+    assert all(len(rows[path]["frame"]) == figures["frames"] for path in EVERY_FRAME)
+    return int(lost)
+
+
+def test_video_cut_in_the_middle(desk: Path, clip: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data = write_video(desk / "cut.avi", clip, "MJPG").read_bytes()
+    (desk / "cut.avi").write_bytes(data[: len(data) // 2])
+    lost = skipped(Path("cut.avi"))
+    assert lost == pytest.approx(1.5 * FRAMES, abs=2)
+    assert f"skipped {lost} frames" in warned(caplog)
+
+
+def test_unreadable_frame_in_the_middle(desk: Path, clip: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (desk / "room").mkdir()
+    for picture in clip.iterdir():
+        (desk / "room" / picture.name).write_bytes(picture.read_bytes()[: 500 if picture.name == "3.png" else None])
+    assert skipped(Path("room")) == 1
+    assert "3.png" in warned(caplog)
+    assert recorded(Path("run.rrd"))["/camera/tracks"]["frame"] == [0, 1, 2, 4, 5, 6, 7]
+
+
+def test_frames_of_changing_size_and_kind(desk: Path, clip: Path) -> None:
+    (desk / "room").mkdir()
+    image = cv2.imread(str(clip / "0.png"))
+    kinds = [
+        image,
+        image[:80, :100],
+        cv2.cvtColor(image, cv2.COLOR_BGR2GRAY),
+        image.astype(np.uint16) * 256,
+        image[:1, :1],
+        image[:1],
+        image[:2, :3],
+        np.zeros_like(image),
+        np.tile(image, (2, 3, 1)),
+        image,
+    ]
+    for number, kind in enumerate(kinds):
+        assert cv2.imwrite(str(desk / "room" / f"{number}.png"), kind)
+    assert skipped(Path("room")) == 0
+    log = recorded(Path("run.rrd"))["/log"]
+    assert log["frame"] == [1, 2, 4, 5, 6, 7, 8, 9]
+    assert "resolution changed from 160x120 to 100x80" in log["TextLog:text"][0][0]

@@ -1,0 +1,114 @@
+"""Batches that are interrupted, and batches whose processes are killed."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.batch_logs import camera_log, long_folder, report_of, unfinished_pid, visible
+from tests.helpers.command import python, read_screen
+
+LONG_FRAMES = 250
+
+
+@pytest.fixture
+def inputs(clip: Path, tmp_path: Path) -> list[Path]:
+    """A recording that takes seconds, between two short ones."""
+    a, c = (camera_log(tmp_path / f"{name}.mcap", clip) for name in "ac")
+    return [a, long_folder(tmp_path / "b", clip, LONG_FRAMES), c]
+
+
+def start(inputs: list[Path], out: Path, *flags: object, **options: object) -> subprocess.Popen[str]:
+    """A batch in a session of its own, as a foreground job of a shell."""
+    return python(*inputs, "--out", out, *flags, module="frontend.batch", start_new_session=True, **options)
+
+
+def go_on(inputs: list[Path], out: Path) -> dict[str, str]:
+    """Status by name after the same batch has run to its end."""
+    child = start(inputs, out, stdout=subprocess.DEVNULL)
+    assert child.wait(120) == 0
+    assert visible(out) == {"a", "b", "c"}
+    assert not list(out.glob(".*.unfinished-*"))
+    rows = report_of(out)
+    assert rows["b"]["frames"] == LONG_FRAMES
+    return {name: row["status"] for name, row in rows.items()}
+
+
+def ends(pid: int) -> bool:
+    """Whether a process that is not our child ends within seconds."""
+    for _ in range(200):
+        if not Path(f"/proc/{pid}").exists():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_recording_whose_worker_is_killed_is_run_again(inputs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    child = start(inputs, out, "--workers", 2, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    os.kill(unfinished_pid(out, "b"), signal.SIGKILL)
+    _, err = child.communicate(timeout=120)
+    assert child.returncode == 0
+    assert "b: its worker was killed by SIGKILL" in err
+    rows = report_of(out)
+    assert {name: (row["status"], row["attempts"]) for name, row in rows.items()} == {
+        "a": ("done", 1),
+        "b": ("done", 2),
+        "c": ("done", 1),
+    }
+    assert rows["b"]["frames"] == LONG_FRAMES
+    assert not list(out.glob(".*.unfinished-*"))
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_keeps_what_is_finished(inputs: list[Path], tmp_path: Path, sign: signal.Signals) -> None:
+    out = tmp_path / "out"
+    child = start(inputs, out, "--workers", 1, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    worker = unfinished_pid(out, "b")
+    if sign == signal.SIGINT:
+        os.killpg(child.pid, sign)  # as a terminal does: the workers get it too
+    else:
+        child.send_signal(sign)
+    shown, err = child.communicate(timeout=30)
+    assert child.returncode == 130
+    assert err.startswith("WARNING: interrupted")
+    assert err.count("\n") == 1
+    assert "pending" in shown
+    assert {name: row["status"] for name, row in report_of(out).items()} == {
+        "a": "done",
+        "b": "pending",
+        "c": "pending",
+    }
+    assert visible(out) == {"a"}
+    assert not list(out.glob(".*.unfinished-*"))
+    assert ends(worker)
+    assert go_on(inputs, out) == {"a": "skipped", "b": "done", "c": "done"}
+
+
+def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    child = start(inputs, out, "--workers", 1)
+    worker = unfinished_pid(out, "b")
+    child.kill()
+    assert child.wait() == -signal.SIGKILL
+    assert visible(out) == {"a"}
+    assert ends(worker)
+    assert report_of(out).keys() == {"a", "b", "c"}
+    assert go_on(inputs, out) == {"a": "skipped", "b": "done", "c": "done"}
+
+
+def test_progress_bar_shows_in_a_terminal(inputs: list[Path], tmp_path: Path) -> None:
+    control, terminal = pty.openpty()
+    child = start([inputs[0], inputs[2]], tmp_path / "out", stdout=subprocess.DEVNULL, stderr=terminal)
+    os.close(terminal)
+    screen = read_screen(control)
+    assert child.wait() == 0
+    assert "2/2" in screen
+    assert "recordings/s" in screen
+    assert "frames/s" not in screen  # a worker shows no bar of its own

@@ -1,0 +1,316 @@
+"""Calibration files: EuRoC, Kalibr, ROS and JSON, as their tools write them, and everything that can be wrong."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from airline.errors import AirLineError, ConfigError, InputError
+from frontend.camera.calibration import fit_camera, read_calibration
+from frontend.camera.model import CameraModel
+
+EUROC = """\
+# General sensor definitions.
+sensor_type: camera
+comment: VI-Sensor cam0 (MT9M034)
+
+# Sensor extrinsics wrt. the body-frame.
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975,
+         0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768,
+        -0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949,
+         0.0, 0.0, 0.0, 1.0]
+
+# Camera specific definitions.
+rate_hz: 20
+resolution: [752, 480]
+camera_model: pinhole
+intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
+"""
+
+KALIBR = """\
+cam0:
+  T_cam_imu:
+  - [-0.9995250378696743, 0.029615343885863205, -0.008522328211654736, 0.04727988224914392]
+  - [0.0075019185074052044, -0.03439736061393144, -0.9993800792498829, -0.047443232143367084]
+  - [-0.02989013031643309, -0.998969345370175, 0.03415885127385616, -0.0681999605066297]
+  - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [0.0034823894022493434, 0.0007150348452162257, -0.0020532361418706202, 0.00020293673591811182]
+  distortion_model: equidistant
+  intrinsics: [190.97847715128717, 190.9733070521226, 254.93170605935475, 256.8974428996504]
+  resolution: [512, 512]
+  rostopic: /cam0/image_raw
+cam1:
+  T_cn_cnm1:
+  - [0.9999, 0.0, 0.0, -0.1]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28368365, 0.07451284, -0.00010473, -3.55590700e-05]
+  distortion_model: radtan
+  intrinsics: [457.587, 456.134, 379.999, 255.238]
+  resolution: [752, 480]
+  rostopic: /cam1/image_raw
+cam2:
+  camera_model: pinhole
+  distortion_coeffs: []
+  distortion_model: none
+  intrinsics: [400.0, 401.0, 319.5, 239.5]
+  resolution: [640, 480]
+"""
+
+ROS = """\
+image_width: 640
+image_height: 480
+camera_name: narrow_stereo/left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [438.783367, 0.000000, 305.593336, 0.000000, 437.302876, 243.738352, 0.000000, 0.000000, 1.000000]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.361976, 0.110510, 0.001014, 0.000505, 0.000000]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [0.999978, 0.002789, -0.006046, -0.002816, 0.999986, -0.004401, 0.006034, 0.004417, 0.999972]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [393.653800, 0, 322.797939, 0.000000, 0.000000, 393.653800, 241.090902, 0, 0.000000, 0.000000, 1.000000, 0]
+"""
+
+OPENCV = """\
+%YAML:1.0
+---
+calibration_time: "Mon 02 Mar 2020 10:11:12"
+image_width: 1280
+image_height: 720
+flags: 16384
+fisheye_model: 0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 9.0e+02, 0., 6.4e+02, 0., 9.0e+02, 3.6e+02, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 8
+   cols: 1
+   dt: d
+   data: [ 11.7, 6.2, 4.0e-04, -3.0e-04, 0.3, 12.1, 9.8, 1.9 ]
+"""
+
+JSON = """\
+{"width": 640, "height": 480, "fx": 500, "fy": 501.5, "cx": 319.5, "cy": 2.395e2,
+ "distortion": "equidistant", "coefficients": [0.1, -0.02, 0.003, 0]}
+"""
+
+PLANE = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7)), axis=-1).reshape(-1, 2)
+
+
+def save(folder: Path, text: str, name: str = "calib.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def opencv(camera: CameraModel, model: str, k: list[float], d: list[float]) -> None:
+    """OpenCV projects with the numbers of the file where the camera projects."""
+    fx, fy, cx, cy = k
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    rays, zero = np.column_stack([PLANE, np.ones(len(PLANE))]).reshape(-1, 1, 3), np.zeros(3)
+    project = cv2.fisheye.projectPoints if model == "fisheye" else cv2.projectPoints
+    pixels = project(rays, zero, zero, matrix, np.array(d))[0].reshape(-1, 2)
+    np.testing.assert_allclose(camera.project(PLANE), pixels, atol=1e-3)
+
+
+def test_euroc(tmp_path: Path) -> None:
+    d = [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
+    for text in (EUROC, "%YAML:1.0\n" + EUROC, "%YAML:1.0\n---\n" + EUROC, "\ufeff" + EUROC, EUROC + "---\na: b\n"):
+        camera = read_calibration(save(tmp_path, text))
+        assert (camera.width, camera.height, camera.distortion) == (752, 480, "radial-tangential")
+        opencv(camera, "", [458.654, 457.296, 367.215, 248.375], d)
+
+
+def test_kalibr(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = save(tmp_path, KALIBR)
+    fisheye = read_calibration(path, "cam0")
+    assert (fisheye.width, fisheye.height, fisheye.distortion) == (512, 512, "equidistant")
+    k = [190.97847715128717, 190.9733070521226, 254.93170605935475, 256.8974428996504]
+    opencv(fisheye, "fisheye", k, [0.00348238940225, 0.000715034845216, -0.00205323614187, 0.000202936735918])
+    radtan = read_calibration(path, "/cam1/image_raw")
+    assert (radtan.width, radtan.height, radtan.distortion) == (752, 480, "radial-tangential")
+    opencv(radtan, "", [457.587, 456.134, 379.999, 255.238], [-0.28368365, 0.07451284, -0.00010473, -3.5559e-05])
+    assert read_calibration(path, "cam2").distortion == "none"
+    assert not caplog.records
+    with caplog.at_level(logging.WARNING):
+        assert read_calibration(path).fx == fisheye.fx
+    assert "cam0, cam1, cam2: using cam0" in caplog.text
+    with pytest.raises(ConfigError, match="no camera 'cam7': it has cam0, cam1, cam2"):
+        read_calibration(path, "cam7")
+
+
+def test_ros_and_opencv(tmp_path: Path) -> None:
+    path = save(tmp_path, ROS)
+    camera = read_calibration(path, "narrow_stereo/left")
+    assert (camera.width, camera.height) == (640, 480)
+    k, d = [438.783367, 437.302876, 305.593336, 243.738352], [-0.361976, 0.11051, 0.001014, 0.000505]
+    opencv(camera, "", k, d)
+    fisheye = ROS.replace("plumb_bob", "fisheye").replace("0.000505, 0.000000]", "0.000505]")
+    opencv(read_calibration(save(tmp_path, fisheye)), "fisheye", k, d)
+    ideal = ROS.replace("-0.361976, 0.110510, 0.001014, 0.000505, 0.000000", "0, 0, 0, 0, 0")
+    assert read_calibration(save(tmp_path, ideal)).distortion == "none"
+    rational = read_calibration(save(tmp_path, OPENCV, "out.yml"))
+    assert (rational.width, rational.height) == (1280, 720)
+    opencv(rational, "", [900, 900, 640, 360], [11.7, 6.2, 4e-4, -3e-4, 0.3, 12.1, 9.8, 1.9])
+    with pytest.raises(ConfigError, match="its only camera is 'narrow_stereo/left'"):
+        read_calibration(path, "right")
+
+
+def test_json(tmp_path: Path) -> None:
+    camera = read_calibration(save(tmp_path, JSON, "calib.json"))
+    assert (camera.width, camera.height, camera.distortion) == (640, 480, "equidistant")
+    opencv(camera, "fisheye", [500, 501.5, 319.5, 239.5], [0.1, -0.02, 0.003, 0])
+    plain = {"width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 31.5, "cy": 23.5}
+    assert read_calibration(save(tmp_path, json.dumps(plain))).distortion == "none"
+    with pytest.raises(ConfigError, match="its only camera is one that has no name"):
+        read_calibration(save(tmp_path, JSON), "cam0")
+
+
+@pytest.mark.parametrize("model", ["omni", "eucm", "ds"])
+def test_other_camera_models_are_named(tmp_path: Path, model: str) -> None:
+    text = KALIBR.replace("camera_model: pinhole", f"camera_model: {model}")
+    with pytest.raises(ConfigError, match=f"camera model '{model}' is not supported"):
+        read_calibration(save(tmp_path, text), "cam1")
+
+
+def test_other_distortion_models_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="distortion model 'fov' is not supported"):
+        read_calibration(save(tmp_path, KALIBR.replace("radtan", "fov")), "cam1")
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "message"),
+    [
+        (EUROC, "intrinsics: [458.654, ", "intrinsics: [", "intrinsics must hold 4 numbers, not 3"),
+        (EUROC, "458.654", "wide", "intrinsics must be a number, not 'wide'"),
+        (EUROC, "458.654", ".nan", "intrinsics must be a number, not '.nan'"),
+        (EUROC, "458.654", "NaN", "intrinsics must be a number, not 'NaN'"),
+        (EUROC, "458.654", "-458.654", "focal lengths must be positive"),
+        (EUROC, "458.654", "1" * 5000, "intrinsics must be a number"),
+        (EUROC, "[752, 480]", "[752.5, 480]", "resolution must be 1 to 65536 px, not 752.5"),
+        (EUROC, "[752, 480]", "[0, 480]", "resolution must be 1 to 65536 px, not 0"),
+        (EUROC, "[752, 480]", "752", "resolution must be a list of numbers"),
+        (EUROC, "[752, 480]", "", "resolution must be a list of numbers"),
+        (EUROC, "resolution:", "size:", "resolution is missing"),
+        (EUROC, "radial-tangential", "[a]", "distortion_model must be a name"),
+        (EUROC, "0.07395907, ", "", "takes 4 or 5 or 8 coefficients, not 3"),
+        (EUROC, "distortion_coefficients", "coefficients", "distortion_coefficients is missing"),
+        (KALIBR, "resolution: [512, 512]", "resolution: [512]", r"cam0\.resolution must hold 2 numbers"),
+        (ROS, "438.783367, 0.000000", "438.783367, 0.5", "camera_matrix must be of the form"),
+        (ROS, "438.783367", "0", "focal lengths must be positive"),
+        (ROS, "image_width: 640\n", "", "image_width is missing"),
+        (ROS, "[-0.361976", "[[-0.361976]", "distortion_coefficients must be a list of numbers"),
+        (JSON, '"fx": 500', '"fx": true', "fx must be a number"),
+        (JSON, '"fx": 500', '"fx": NaN', "fx must be a number, not 'NaN'"),
+        (JSON, '"fx": 500', '"fx": {}', "fx must be a number"),
+        (JSON, '"fy": 501.5', '"focal": 501.5', "focal is no field of a calibration"),
+        (JSON, '"cy": 2.395e2,', "", "cy is missing"),
+        (JSON, "640,", "640", "not valid JSON"),
+        (JSON, "equidistant", "barrel", "distortion model 'barrel' is not supported"),
+        (EUROC, "rate_hz: 20", "rate_hz: &a 20", "has the YAML anchor 'a'"),
+        (EUROC, "rate_hz: 20", "rate_hz: *a", "has the YAML anchor 'a'"),
+        (EUROC, "rate_hz: 20", "rate_hz: 20\nrate_hz: 30", "has 'rate_hz' twice"),
+        (EUROC, "rate_hz: 20", "? [a]\n: 20", "a key that is not a name"),
+        (EUROC, "[752, 480]", "[752, 480", "not valid YAML in line"),
+        (EUROC, "20", "[" * 40 + "]" * 40, "nested deeper"),
+        (EUROC, EUROC, "", "is no camera calibration"),
+        (EUROC, EUROC, "- a\n- b\n", "is no camera calibration"),
+        (EUROC, EUROC, "fps: 30\n", "is no camera calibration"),
+        (EUROC, "20", "x" * 300_000, "longer than the 256 KB"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, old: str, new: str, message: str) -> None:
+    assert old in text
+    path = save(tmp_path, text.replace(old, new, 1))
+    with pytest.raises((InputError, ConfigError), match=message) as caught:
+        read_calibration(path, "cam0" if text is KALIBR else None)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        read_calibration(tmp_path / "missing.yaml")
+    with pytest.raises(InputError, match="cannot read"):
+        read_calibration(tmp_path)
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    with pytest.raises(InputError, match="not a text file"):
+        read_calibration(tmp_path / "picture.png")
+    with pytest.raises(InputError):
+        read_calibration("nul\0")
+
+
+def test_a_camera_for_other_sizes(tmp_path: Path) -> None:
+    camera = read_calibration(save(tmp_path, EUROC))
+    assert fit_camera(camera, 752, 480) is camera
+    half = fit_camera(camera, 376, 240)
+    assert (half.width, half.height, half.fx) == (376, 240, camera.fx / 2)
+    assert half.cx == pytest.approx((camera.cx + 0.5) / 2 - 0.5)
+    assert fit_camera(camera, 501, 320).height == 320  # 501.33
+    with pytest.raises(InputError, match="752x480 px, these have 640x480"):
+        fit_camera(camera, 640, 480)
+    with pytest.raises(InputError, match="480x752"):
+        fit_camera(camera, 480, 752)
+
+
+scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+trees = st.recursive(
+    scalars,
+    lambda kids: st.lists(kids, max_size=9) | st.dictionaries(st.text(max_size=5), kids, max_size=3),
+    max_leaves=12,
+)
+FIELDS = [line.partition(":")[0].strip() for text in (EUROC, KALIBR, ROS) for line in text.splitlines() if ":" in line]
+NAMES = st.sampled_from([*FIELDS, *json.loads(JSON)])
+
+
+@given(st.dictionaries(NAMES, trees | st.dictionaries(NAMES, trees, max_size=6), min_size=1, max_size=8))
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_arbitrary_values_never_raise_anything_else(tmp_path: Path, tree: dict[str, object]) -> None:
+    text = json.dumps(tree)
+    for written in (text, "---\n" + text):  # the second is read as YAML
+        try:
+            camera = read_calibration(save(tmp_path, written))
+        except AirLineError as error:
+            assert "calib.yaml" in str(error)  # noqa: PT017
+        else:
+            assert camera.fx > 0
+
+
+@given(base=st.sampled_from([EUROC, KALIBR, ROS, OPENCV, JSON]), data=st.data())
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_damaged_files_never_raise_anything_else(tmp_path: Path, base: str, data: st.DataObject) -> None:
+    place = data.draw(st.integers(0, len(base)))
+    noise = data.draw(st.text(max_size=6) | st.sampled_from(["&a", "*a", "!!map", "!!python/none", "%YAML 1.1", "\t"]))
+    path = tmp_path / "calib.yaml"
+    path.write_bytes((base[:place] + noise + base[place + len(noise) :]).encode("utf-8", "surrogatepass"))
+    try:
+        assert read_calibration(path).fx > 0
+    except AirLineError as error:
+        assert "calib.yaml" in str(error)  # noqa: PT017

@@ -1,0 +1,196 @@
+"""The command that measures the tracker, and the clips it reads from folders."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+
+from airline.errors import InputError
+from frontend.evaluate import main
+from frontend.evaluation.icl import LabelledClip, read_numbers
+from frontend.evaluation.posed import PosedClip
+from tests.helpers.data_sets import write_labelled, write_posed
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+KEYS = {
+    *("link_precision", "link_recall", "idf1", "switches_per_100", "fragments_per_100", "track_length_mean"),
+    *("jitter_across_px", "jitter_along_px", "ms"),
+}
+
+
+def shared(name: str) -> Path:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"needs the data set {name}")
+    return DATA / name
+
+
+@pytest.fixture
+def labelled(tmp_path: Path) -> Path:
+    return write_labelled(tmp_path / "labelled")
+
+
+@pytest.fixture
+def posed(tmp_path: Path) -> Path:
+    return write_posed(tmp_path / "posed")
+
+
+def test_labels_become_identities(labelled: Path) -> None:
+    frames, truths = zip(*LabelledClip(labelled), strict=True)
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert frames[2].image[0, 0].tolist() == [80, 80, 80]
+    assert [true.ids.tolist() for true in truths] == [[0, 1], [2, 0], [0, 3]]
+    assert truths[1].segments_px[1].tolist() == [[11, 20], [91, 20]], "from corners to centres of pixels"
+
+
+def test_poses_and_camera(posed: Path) -> None:
+    clip = PosedClip(posed)
+    assert (clip.name, len(clip), clip.poses.shape, clip.K.shape) == ("posed", 6, (6, 3, 4), (3, 3))
+    assert [frame.image.shape for frame in clip] == [(240, 320, 3)] * 6
+
+
+def test_number_files(tmp_path: Path) -> None:
+    path = tmp_path / "numbers.txt"
+    path.write_text("P0: 1 2\n\n3e1 -4\n")
+    assert read_numbers(path, 2, None).tolist() == [[1, 2], [30, -4]]
+    for text in ("1 2 3\n", "1\n", "a b\n", "nan 1\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match="malformed"):
+            read_numbers(path, 2, None)
+
+
+def _remove(name: str) -> Callable[[Path], None]:
+    return lambda folder: shutil.rmtree(folder / name) if (folder / name).is_dir() else (folder / name).unlink()
+
+
+def _write(name: str, text: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_remove("associations"), "no folder"),
+        (_remove("lines/1.csv"), "no file"),
+        (_write("lines/1.csv", "1,2,3\n"), "4 numbers"),
+        (_write("associations/0_1.csv", "0,7\n"), "rows of the line files"),
+        (_write("associations/0_1.csv", "0,0\n0,1\n"), "each once"),
+    ],
+)
+def test_damaged_labels(labelled: Path, damage: Callable[[Path], object], message: str) -> None:
+    damage(labelled)
+    with pytest.raises(InputError, match=message):
+        LabelledClip(labelled)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_remove("images"), "images"),
+        (_remove("poses.txt"), "no file"),
+        (_write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), "6 images and 1 poses"),
+        (_write("calib.txt", "\n"), "empty"),
+    ],
+)
+def test_damaged_posed_clips(posed: Path, damage: Callable[[Path], object], message: str) -> None:
+    damage(posed)
+    with pytest.raises(InputError, match=message):
+        PosedClip(posed)
+
+
+def test_command(labelled: Path, posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "figures.json"
+    folders = ["--icl", str(labelled), "--posed", str(posed)]
+    assert main(["--sequence", "static", "labelled", "posed", *folders, "--limit", "6", "--json", str(path)]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    for word in ("static", "labelled", "posed", "nearest", "flow", "IDF1", "parallax"):
+        assert word in printed.out
+    figures = json.loads(path.read_text())
+    assert set(figures["sequences"]) == {"static", "labelled"}
+    for clip in figures["sequences"].values():
+        assert list(clip) == ["ours", "nearest", "flow"]
+        for tracker in clip.values():
+            assert set(tracker) >= KEYS
+    for tracker in figures["sequences"]["static"].values():
+        assert tracker["link_precision"] > 0.95, "nothing moves, so everybody must follow"
+        assert tracker["link_recall"] > 0.9
+        assert tracker["jitter_across_px"] < 0.5
+        assert 0 < tracker["ms"] < 1000
+    for tracker in figures["posed"]["posed"].values():
+        assert tracker["tracks_5"] > 20
+        assert tracker["consistent_share"] > 0.8, "an exact camera in a world that stands still"
+
+
+def test_photographs(tmp_path: Path) -> None:
+    from airline.scenes import RenderedClip
+
+    folder, path = tmp_path / "photographs", tmp_path / "figures.json"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "room.png"), RenderedClip(seed=3, size=(320, 240)).render(0).image)
+    arguments = ["--photos", str(folder), "--sequence", "photographs-1", "--limit", "4", "--json", str(path)]
+    assert main(arguments) == 0
+    figures = json.loads(path.read_text())["sequences"]
+    assert list(figures) == ["photographs-1"]
+    assert figures["photographs-1"]["ours"]["link_precision"] > 0.9
+
+
+def test_labelled_frames(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    folder = shared("icl_nuim_labelled")
+    assert main(["--icl", str(folder), "--sequence", folder.name, "--limit", "5", "--json", str(path)]) == 0
+    for tracker in json.loads(path.read_text())["sequences"][folder.name].values():
+        assert tracker["link_precision"] > 0.97
+        assert tracker["link_recall"] > 0.9
+
+
+def test_a_real_clip_with_poses(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    folder = shared("kitti_clip")
+    assert main(["--posed", str(folder), "--sequence", folder.name, "--limit", "6", "--json", str(path)]) == 0
+    ours = json.loads(path.read_text())["posed"][folder.name]["ours"]
+    assert ours["tracks_5"] > 100
+    assert ours["consistent_share"] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--sequence", "nothing"], "no sequence 'nothing': there are static"),
+        (["--limit", "1"], "--limit"),
+        (["--json", "nowhere/figures.json"], "no folder"),
+        (["--photos", "nowhere"], "nowhere"),
+        (["--icl", "nowhere"], "no folder"),
+        (["--posed", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_arguments_are_one_sentence(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str) -> None:
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_usage_errors_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--limit", "many"])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = "import sys; from frontend.evaluate import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    code += "print([name for name in ('torch', 'numba', 'cv2', 'scipy', 'numpy') if name in sys.modules])"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "--sequence" in done.stdout

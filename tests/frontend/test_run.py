@@ -1,0 +1,271 @@
+"""The command line on good input: what it prints, writes, records and shows."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import re
+import statistics
+import subprocess
+import sys
+import time
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from airline import __version__
+from frontend.cli.terminal import set_up_logging
+from frontend.run import has_display
+from tests.helpers.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
+from tests.helpers.ports import free_port
+from tests.helpers.viewer import RERUN, saving_viewer
+from viz.viewer import open_viewer
+
+FRAMES = 8
+PERIOD_NS = 33_333_333
+FLAGS = (
+    *("--save", "--headless", "--summary", "--max-frames", "--start", "--end", "--stride", "--resize"),
+    *("--preset", "--weights", "--runtime", "--config", "--dump-config", "--version", "-v"),
+)
+STAGES = ["edges", "pixels", "orientation", "grow", "fit", "refine", "track", "sinks"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the command line on the shared clip."""
+
+    outcome: Outcome
+    rrd: Path
+    figures: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def run(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("run")
+    outcome = command(clip, "--save", folder / "run.rrd", "--summary", folder / "run.json")
+    return Run(outcome, folder / "run.rrd", json.loads((folder / "run.json").read_text()))
+
+
+@pytest.fixture(scope="module")
+def entities(run: Run) -> dict[str, dict[str, list[Any]]]:
+    return recorded(run.rrd)
+
+
+def tracks(entities: dict[str, dict[str, list[Any]]]) -> tuple[list[Any], list[Any], list[Any]]:
+    """Segments, tracked segments and track ids per frame."""
+    tracked = entities["/camera/tracks"]
+    segments = entities["/camera/segments"]["LineStrips2D:strips"]
+    return segments, tracked["LineStrips2D:strips"], tracked["track_id"]
+
+
+def picture_size(entities: dict[str, dict[str, list[Any]]]) -> tuple[int, int]:
+    blob = np.array(entities["/camera/image"]["EncodedImage:blob"][0][0], np.uint8)
+    height, width = cv2.imdecode(blob, cv2.IMREAD_UNCHANGED).shape[:2]
+    return width, height
+
+
+def test_it_succeeds_and_says_how_to_look_at_the_result(run: Run) -> None:
+    assert run.outcome.code == 0
+    assert run.outcome.err == ""  # no progress bar either: this is no terminal
+    assert run.outcome.out.endswith(f"saved {run.rrd}; look at it with: rerun {run.rrd}\n")
+
+
+def test_table_and_json_hold_the_same_figures(run: Run) -> None:
+    figures = run.figures
+    assert figures.keys() >= {"frames", "fps", "lines_per_frame", "tracks", "track_length_median", "skipped_frames"}
+    assert list(figures["stage_ms"]) == STAGES
+    assert min(figures["stage_ms"].values()) > 0
+    assert (figures["frames"], figures["skipped_frames"]) == (FRAMES, 0)
+    shown = dict(re.findall(r"│ (.*?) +│ (\S+) +│", run.outcome.out))
+    assert shown.pop("frames") == str(FRAMES)
+    assert shown.pop("frames/s") == f"{figures['fps']:.1f}"
+    for stage in STAGES:
+        assert shown.pop(f"{stage}, median ms") == f"{figures['stage_ms'][stage]:.2f}"
+    assert shown.pop("latency, median ms") == f"{figures['latency_ms']:.2f}"
+    assert shown.pop("lines per frame") == f"{figures['lines_per_frame']:.1f}"
+    assert shown.pop("live tracks per frame") == f"{figures['live_tracks_per_frame']:.1f}"
+    assert shown.pop("tracks") == str(figures["tracks"])
+    assert shown.pop("median track length, frames") == f"{figures['track_length_median']:g}"
+    assert shown == {}
+
+
+def test_recording_has_one_row_per_frame_and_nothing_else(entities: dict[str, dict[str, list[Any]]]) -> None:
+    rows = {path: columns["frame"] for path, columns in entities.items() if "frame" in columns}
+    assert rows.pop("/camera/descriptor") == [0]
+    assert rows.keys() == EVERY_FRAME
+    assert all(numbers == list(range(FRAMES)) for numbers in rows.values())
+    assert entities["/camera/image"]["sensor_time"] == [round(k * 1e9 / 30) for k in range(FRAMES)]
+    assert entities["/__properties"]["RecordingInfo:name"] == [["room"]]
+
+
+def test_figures_are_those_of_the_recording(run: Run, entities: dict[str, dict[str, list[Any]]]) -> None:
+    segments, tracked, ids = tracks(entities)
+    assert min(map(len, segments)) > 10
+    assert [len(strips) for strips in tracked] == [len(row) for row in ids]
+    assert run.figures["lines_per_frame"] == pytest.approx(statistics.mean(map(len, segments)), abs=0.005)
+    assert run.figures["live_tracks_per_frame"] == pytest.approx(statistics.mean(map(len, ids)), abs=0.005)
+    lengths = [length for length in Counter(k for row in ids for k in row).values() if length >= 3]
+    assert run.figures["tracks"] == len(lengths) > 10
+    assert run.figures["track_length_median"] == statistics.median(lengths)
+    for stage in STAGES[:-1]:  # the sink cannot record its own time
+        spent = [value for (value,) in entities[f"/stats/time_ms/{stage}"]["Scalars:scalars"]]
+        assert run.figures["stage_ms"][stage] == pytest.approx(statistics.median(spent), abs=0.001)
+
+
+def test_same_input_gives_the_same_ids_and_segments(clip: Path, tmp_path: Path, run: Run) -> None:
+    assert command(clip, "--save", tmp_path / "again.rrd").code == 0
+    assert tracks(recorded(tmp_path / "again.rrd")) == tracks(recorded(run.rrd))
+
+
+@pytest.mark.parametrize(
+    ("flags", "frames"),
+    [
+        (["--stride", "3"], [0, 3, 6]),
+        (["--max-frames", "2"], [0, 1]),
+        (["--start", "0.1"], [3, 4, 5, 6, 7]),
+        (["--end", "0.1"], [0, 1, 2]),
+        (["--start", "0.03", "--end", "0.2", "--stride", "2", "--max-frames", "2"], [1, 3]),
+        (["--fps", "10", "--start", "0.5"], [5, 6, 7]),
+        (["--start", "0.2", "--end", "100", "--max-frames", "100"], [6, 7]),
+    ],
+)
+def test_frame_flags(clip: Path, tmp_path: Path, flags: list[str], frames: list[int]) -> None:
+    assert command(clip, "--save", tmp_path / "run.rrd", "--summary", tmp_path / "run.json", *flags).code == 0
+    assert recorded(tmp_path / "run.rrd")["/camera/tracks"]["frame"] == frames
+    assert json.loads((tmp_path / "run.json").read_text())["frames"] == len(frames)
+
+
+@pytest.mark.parametrize(("size", "expected"), [("80x40", (80, 40)), ("80X40", (80, 40)), ("80", (80, 60))])
+def test_resize(clip: Path, tmp_path: Path, size: str, expected: tuple[int, int]) -> None:
+    assert command(clip, "--save", tmp_path / "run.rrd", "--max-frames", 1, "--resize", size).code == 0
+    assert picture_size(recorded(tmp_path / "run.rrd")) == expected
+
+
+def test_paper_preset_and_canny_edges_run(clip: Path, tmp_path: Path) -> None:
+    (tmp_path / "canny.toml").write_text('detector.edges.detector = "canny"\n')
+    for flags in (["--preset", "paper"], ["--config", tmp_path / "canny.toml"]):
+        outcome = command(clip, "--save", tmp_path / "run.rrd", "--max-frames", 3, "--runtime", "torch", *flags)
+        assert outcome.code == 0
+        assert max(map(len, tracks(recorded(tmp_path / "run.rrd"))[0])) > 0
+
+
+def test_built_in_clip_without_an_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command("--headless", "--max-frames", 2, "--resize", "160").code == 0
+    (rrd,) = tmp_path.iterdir()
+    entities = recorded(rrd)
+    assert entities["/camera/tracks"]["frame"] == [0, 1]
+    assert "Pinhole:image_from_camera" in entities["/camera"]
+
+
+def test_log_with_a_camera(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first_ns = 1_700_000_000 * 10**9
+    with Path("drive.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
+        channels = {topic: writer.register_channel(topic, "json", schema) for topic in ("/left", "/right")}
+        for number, picture in enumerate(sorted(clip.iterdir())):
+            stamp = {"sec": 1_700_000_000, "nsec": number * PERIOD_NS}
+            data = base64.b64encode(picture.read_bytes()).decode()
+            message = json.dumps({"timestamp": stamp, "frame_id": "", "format": "png", "data": data}).encode()
+            for channel in channels.values():
+                writer.add_message(channel, log_time=first_ns + number, data=message, publish_time=0)
+        writer.finish()
+    assert command("drive.mcap", "--headless", "--topic", "/left").code == 0
+    assert recorded(Path("drive.rrd"))["/camera/tracks"]["sensor_time"] == [
+        first_ns + k * PERIOD_NS for k in range(FRAMES)
+    ]
+    several = command("drive.mcap", "--headless")
+    assert several.code == 2
+    assert "/left" in several.err
+    assert "/right" in several.err
+
+
+@pytest.mark.parametrize("flags", [["--headless"], []])
+def test_without_a_display_it_saves_under_the_name_of_the_input(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    if flags:
+        monkeypatch.setenv("DISPLAY", ":0")
+    elif has_display():
+        pytest.skip("this system always has a display")
+    outcome = command(clip, "--max-frames", 1, *flags)
+    assert outcome.code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["room.rrd"]
+    assert "rerun room.rrd" in outcome.out
+
+
+def test_the_built_in_clip_says_why_it_is_slow(clip: Path, tmp_path: Path) -> None:
+    note = "rendered while it runs"
+    assert note in command("--headless", "--max-frames", 1, "--save", tmp_path / "room.rrd").out
+    assert note not in command(clip, "--headless", "--max-frames", 1, "--save", tmp_path / "clip.rrd").out
+
+
+def test_the_way_to_open_it_is_quoted_for_the_shell(clip: Path, tmp_path: Path) -> None:
+    path = tmp_path / "my run.rrd"
+    assert f"rerun '{path}'" in command(clip, "--save", path, "--max-frames", 1).out
+
+
+def test_with_a_display_everything_goes_to_the_viewer(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The viewer is Rerun's own, already open, and told to save what it receives instead of opening a window."""
+    if not RERUN.exists():
+        pytest.skip("Rerun's viewer is not installed beside this Python")
+    port = free_port()
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, port))
+    received = tmp_path / "received.rrd"
+    with saving_viewer(port, received):
+        outcome = command(clip)
+    assert outcome.code == 0
+    assert "saved" not in outcome.out
+    assert not list(Path.cwd().iterdir())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a stream that was cut off has no table of contents
+        rows = recorded(received)
+    assert all(rows[path]["frame"] == list(range(FRAMES)) for path in EVERY_FRAME)
+
+
+def test_version() -> None:
+    assert command("--version") == Outcome(0, f"airline-frontend {__version__}\n", "")
+
+
+def test_help_is_quick_and_importing_is_light() -> None:
+    seconds = []
+    for _ in range(3):  # the best of three: another process may be in the way
+        begin = time.monotonic()
+        with python("--help", stdout=subprocess.PIPE) as child:
+            text = child.communicate()[0]
+        seconds.append(time.monotonic() - begin)
+        assert child.returncode == 0
+    assert min(seconds) < 1
+    for flag in FLAGS:
+        assert flag in text
+    heavy = "{'torch', 'rerun', 'numba', 'cv2', 'numpy', 'rich'}"
+    script = f"import sys, frontend.run; sys.exit(' '.join({heavy} & set(sys.modules)) or 0)"
+    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT).returncode == 0
+
+
+def test_verbosity_is_about_our_own_packages() -> None:
+    for verbosity, level in ((0, logging.WARNING), (1, logging.INFO), (2, logging.DEBUG), (5, logging.DEBUG)):
+        set_up_logging(verbosity)
+        assert {logging.getLogger(f"{name}.x").getEffectiveLevel() for name in ("frontend", "logs", "viz")} == {level}
+        assert not logging.getLogger("numba").isEnabledFor(logging.DEBUG)
+    set_up_logging(0)

@@ -1,0 +1,144 @@
+"""The command line while it runs and when it is stopped: progress, Ctrl-C, errors in the middle, the clock."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import signal
+import statistics
+import subprocess
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from airline.errors import InputError
+from frontend.cli.settings import RunConfig
+from frontend.frame import Frame
+from frontend.run import process
+from tests.helpers.command import EVERY_FRAME, python, read_screen, recorded
+from viz.rerun_sink import RerunSink
+
+CLIP_FRAMES = 8
+VIDEO_FRAMES = 6000
+PERIOD_NS = 33_333_333
+STAGES = [path for path in EVERY_FRAME if path.startswith("/stats/time_ms/")]
+
+
+def test_progress_bar_shows_in_a_terminal(clip: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "room [red]"  # a name that the bar could take for markup
+    folder.mkdir()
+    for number in range(40):
+        (folder / f"{number}.png").write_bytes((clip / f"{number % CLIP_FRAMES}.png").read_bytes())
+    (folder / "20.png").write_bytes(b"no picture")
+    control, terminal = pty.openpty()
+    child = python(folder, "--save", tmp_path / "run.rrd", stdout=subprocess.PIPE, stderr=terminal)
+    os.close(terminal)
+    with child:
+        text = read_screen(control)
+        out = child.communicate()[0]
+    assert child.returncode == 0
+    assert "39 (1 skipped)" in out
+    assert re.search(r"room \[red\] .* 39/40 +\d+\.\d frames/s", text)
+    (warning,) = (line for line in re.split(r"[\r\n]+", text) if "skipped" in line)
+    assert warning.startswith("WARNING: ")  # on a line of its own, not behind the bar
+
+
+@pytest.fixture(scope="module")
+def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("video") / "long.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (160, 120))
+    for number in range(VIDEO_FRAMES):
+        image = np.full((120, 160, 3), 60, np.uint8)
+        cv2.rectangle(image, (20 + number % 40, 30), (90 + number % 40, 90), (200, 180, 160), -1)
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> None:
+    save = tmp_path / "run.rrd"
+    flags = ["--save", save, "--summary", tmp_path / "run.json"]
+    with python(long_video, *flags, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        deadline = time.monotonic() + 60
+        while not save.exists() or save.stat().st_size < 100_000:
+            assert child.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        child.send_signal(signal.SIGINT)
+        begin = time.monotonic()
+        out, err = child.communicate(timeout=30)
+    assert time.monotonic() - begin < 8
+    assert child.returncode == 130
+    assert err == "WARNING: interrupted: what was done so far is kept\n"
+    assert "rerun" in out
+    frames = json.loads((tmp_path / "run.json").read_text())["frames"]
+    assert re.search(rf"frames +│ {frames} ", out)
+    assert 0 < frames < VIDEO_FRAMES
+    rows = recorded(save)
+    for path in EVERY_FRAME:  # the frame at hand may be recorded in part
+        assert rows[path]["frame"] in (list(range(frames)), list(range(frames + 1)))
+    spent = [rows[stage]["Scalars:scalars"][:frames] for stage in STAGES]
+    total = [sum(ms for (ms,) in stages) for stages in zip(*spent, strict=True)]
+    assert total[0] < 30 * statistics.median(total)  # compiling and loading, 150 times as long, was done before
+
+
+class FailingSource:
+    """The clip, until something happens before its fourth frame."""
+
+    name = "failing"
+    frame_count = CLIP_FRAMES
+    skipped = 0
+
+    def __init__(self, folder: Path, error: BaseException) -> None:
+        self._folder, self._error = folder, error
+
+    def __iter__(self):
+        for number in range(3):
+            image = cv2.imread(str(self._folder / f"{number}.png"))
+            yield Frame(number, number * PERIOD_NS, image)
+        raise self._error
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("error", "code"), [(InputError("the cable is out"), 2), (KeyboardInterrupt(), 130)])
+def test_what_was_written_before_the_end_is_readable(
+    clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
+) -> None:
+    save = tmp_path / "run.rrd"
+    done, summary = process(FailingSource(clip, error), RunConfig(), lambda: [RerunSink(save=save)])
+    assert (done, summary.frames) == (code, 3)
+    assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
+    assert capsys.readouterr().err == ("error: the cable is out\n" if code == 2 else "")
+
+
+def test_a_fault_of_ours_is_not_hidden_and_loses_nothing(clip: Path, tmp_path: Path) -> None:
+    save = tmp_path / "run.rrd"
+    with pytest.raises(ZeroDivisionError):
+        process(FailingSource(clip, ZeroDivisionError()), RunConfig(), lambda: [RerunSink(save=save)])
+    assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
+
+
+def test_opening_the_sinks_does_not_count_as_speed(clip: Path) -> None:
+    """Nor does the time count that closing takes."""
+    written = []
+
+    class Slow:
+        def __init__(self) -> None:
+            time.sleep(1)
+
+        def write(self, result: object) -> None:
+            written.append(result)
+
+        def close(self) -> None:
+            time.sleep(1)
+
+    _, summary = process(FailingSource(clip, KeyboardInterrupt()), RunConfig(), lambda: [Slow()])
+    assert len(written) == 3
+    assert summary.fps > len(written)

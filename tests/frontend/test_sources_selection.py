@@ -1,0 +1,162 @@
+"""A part of a stream, compared with slicing a list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airline.errors import ConfigError
+from frontend.camera.model import CameraModel
+from frontend.frame import Frame
+from frontend.protocols import Source
+from frontend.sources.selection import SeekableSource, select_frames
+
+
+@dataclass
+class Listed:
+    """Frames of a list; `read` counts how many were taken from it."""
+
+    frames: list[Frame]
+    endless: bool = False
+    read: int = 0
+    closed: bool = False
+    name: str = "listed"
+    skipped: int = 2
+
+    @property
+    def frame_count(self) -> int | None:
+        return None if self.endless else len(self.frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.frames:
+            self.read += 1
+            yield frame
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Seekable(Listed):
+    start_s = 0.0
+
+    @property
+    def first_stamp_ns(self) -> int:
+        return self.frames[0].stamp_ns
+
+    def seek(self, start_s: float) -> None:
+        self.start_s = start_s
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.frames:
+            if frame.stamp_ns - self.first_stamp_ns >= round(self.start_s * 1e9):
+                self.read += 1
+                yield frame
+
+
+def frames_at(stamps: list[int]) -> list[Frame]:
+    image = np.zeros((40, 60), np.uint8)
+    return [Frame(3 * number, stamp, image) for number, stamp in enumerate(stamps)]
+
+
+@given(
+    steps=st.lists(st.integers(1, 40).map(lambda step: step * 10_000_000 + step % 2), max_size=30),
+    first=st.integers(0, 2**60),
+    kind=st.sampled_from([Listed, Seekable]),
+    start=st.none() | st.integers(0, 40),
+    length=st.none() | st.integers(1, 40),
+    stride=st.integers(1, 7),
+    most=st.none() | st.integers(1, 12),
+    endless=st.booleans(),
+)
+def test_equals_list_slicing(
+    steps: list[int],
+    first: int,
+    kind: type[Listed],
+    start: int | None,
+    length: int | None,
+    stride: int,
+    most: int | None,
+    endless: bool,
+) -> None:
+    frames = frames_at(list(np.cumsum([first, *steps])))
+    start_s = None if start is None else start / 10
+    end_s = None if length is None else ((start or 0) + length) / 10
+    after = [f for f in frames if start is None or f.stamp_ns - first >= start * 100_000_000]
+    between = [f for f in after if length is None or f.stamp_ns - first < ((start or 0) + length) * 100_000_000]
+    expected = between[::stride][:most]
+
+    selection = select_frames(kind(frames, endless), start_s=start_s, end_s=end_s, stride=stride, max_frames=most)
+    assert isinstance(selection, Source)
+    bound = selection.frame_count
+    assert list(selection) == expected
+    assert bound is None if endless and most is None else bound is not None and bound >= len(expected)
+    if not endless and start is None and length is None:
+        assert bound == len(expected)
+
+
+def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
+    source = Listed(frames_at(list(range(100))), endless=True)
+    selection = select_frames(source, stride=10, max_frames=3)
+    assert selection.frame_count == 3
+    assert [frame.index for frame in selection] == [0, 30, 60]
+    assert source.read == 21
+    assert (selection.name, selection.skipped) == ("listed", 2)
+    selection.close()
+    assert source.closed
+
+
+def test_a_seekable_source_is_not_read_from_the_start() -> None:
+    source = Seekable(frames_at([second * 10**9 for second in range(100)]))
+    assert isinstance(source, SeekableSource)
+    assert [frame.index for frame in select_frames(source, start_s=90, end_s=92)] == [270, 273]
+    assert source.read == 3
+
+
+@pytest.mark.parametrize(
+    ("resize", "shape"),
+    [((32, 16), (16, 32)), ((32, None), (21, 32)), ((120, None), (80, 120)), ((60, 40), (40, 60))],
+)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_resize(resize: tuple[int, int | None], shape: tuple[int, int], dtype: type, channels: tuple[int, ...]) -> None:
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (40, 60, *channels), dtype)
+    camera = CameraModel(60, 40, 50.0, 50.0, 29.5, 19.5)
+    frame = Frame(4, 7, image, camera)
+    (resized,) = select_frames(Listed([frame]), resize=resize)
+    assert resized.image.shape == (*shape, *channels)
+    assert resized.image.dtype == dtype
+    assert resized.image.flags.c_contiguous
+    assert (resized.index, resized.stamp_ns) == (4, 7)
+    assert resized.image.mean() == pytest.approx(image.mean(), rel=0.02)
+    assert resized.camera is not None
+    assert (resized.camera.height, resized.camera.width) == shape
+    assert resized.camera.cx == pytest.approx((shape[1] - 1) / 2)  # the image's centre stays its centre
+    (bare,) = select_frames(Listed([Frame(0, 0, image)]), resize=resize)
+    assert bare.camera is None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"stride": 0},
+        {"stride": -3},
+        {"max_frames": 0},
+        {"start_s": -1.0},
+        {"start_s": float("nan")},
+        {"start_s": float("inf")},
+        {"start_s": 2.0, "end_s": 2.0},
+        {"end_s": 0.0},
+        {"end_s": float("nan")},
+        {"resize": (15, 100)},
+        {"resize": (100, 0)},
+        {"resize": (10**9, None)},
+    ],
+)
+def test_impossible_values(values: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        select_frames(Listed([]), **values)  # type: ignore[arg-type]

@@ -1,0 +1,237 @@
+"""Stages that run at once: the order of what comes out, errors, ends, and how much is read ahead."""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from itertools import count, islice
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from frontend.stages import WAITING, WAITING_LIVE, pipelined
+
+ROOT = Path(__file__).parents[2]
+
+
+class FaultError(Exception):
+    """What a stage fails with."""
+
+
+@pytest.fixture(autouse=True)
+def no_thread_stays() -> Iterator[None]:
+    before = threading.active_count()
+    yield
+    assert threading.active_count() == before
+
+
+def slow(
+    name: str, delays_ms: list[int], fails_at: int | None = None, taken: list[object] | None = None
+) -> Callable[[list[object]], list[object]]:
+    """A stage that adds its name to an item, after a while; fails at one item. It notes what it has taken."""
+    calls = count()
+
+    def stage(item: list[object]) -> list[object]:
+        if taken is not None:
+            taken.append(item[0])
+        call = next(calls)
+        time.sleep(1e-3 * delays_ms[call % len(delays_ms)])
+        if call == fails_at:
+            raise FaultError(name, call)
+        return [*item, name]
+
+    return stage
+
+
+def source(length: int, delays_ms: list[int], fails_at: int | None) -> Iterator[list[object]]:
+    for number in range(length):
+        time.sleep(1e-3 * delays_ms[number % len(delays_ms)])
+        if number == fails_at:
+            raise FaultError("source", number)
+        yield [number]
+
+
+DELAYS = st.lists(st.integers(0, 3), min_size=1, max_size=5)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    length=st.integers(0, 14),
+    delays=st.lists(DELAYS, min_size=6, max_size=6),
+    stages=st.integers(1, 4),
+    fault=st.none() | st.tuples(st.integers(0, 4), st.integers(0, 14)),
+    stop_after=st.none() | st.integers(0, 14),
+    read_ahead=st.booleans(),
+)
+def test_results_are_those_of_one_after_the_other(
+    length: int,
+    delays: list[list[int]],
+    stages: int,
+    fault: tuple[int, int] | None,
+    stop_after: int | None,
+    read_ahead: bool,
+) -> None:
+    """Whatever takes how long: everything in order, or everything before the fault and then the fault itself."""
+    place, item = fault if fault is not None and fault[0] <= stages and fault[1] < length else (None, length)
+    names = [f"stage {number}" for number in range(1, stages + 1)]
+    taken: list[list[object]] = [[] for _ in names]
+    steps = [slow(name, delays[k + 1], item if place == k + 1 else None, taken[k]) for k, name in enumerate(names)]
+    before = threading.active_count()
+    results = pipelined(source(length, delays[0], item if place == 0 else None), *steps, read_ahead=read_ahead)
+    found = []
+    caught: FaultError | None = None
+    try:
+        for result in results:
+            time.sleep(1e-3 * delays[-1][len(found) % len(delays[-1])])
+            found.append(result)
+            if len(found) == stop_after:
+                results.close()
+                break
+        else:
+            assert place is None
+    except FaultError as error:
+        caught = error
+    if caught is not None:
+        assert place is not None
+        assert caught.args == (["source", *names][place], item)
+        deepest = traceback.extract_tb(caught.__traceback__)[-1]
+        assert (deepest.filename, deepest.name) == (__file__, "source" if place == 0 else "stage")
+        for items in taken[max(place - 1, 0) :]:
+            assert items[-1:] <= [item], "nothing behind an error"
+    for items in taken:
+        assert items == list(range(len(items))), "each once, in order"
+    expected = [[number, *names] for number in range(item)]
+    assert found == (expected[:stop_after] if stop_after else expected)
+    assert threading.active_count() == before
+
+
+def test_stages_overlap() -> None:
+    """The time is that of the slowest stage, not of all together."""
+    steps = [slow(name, [20]) for name in "abc"]
+    started = time.perf_counter()
+    assert len(list(pipelined(source(20, [20], None), *steps))) == 20
+    assert time.perf_counter() - started < 0.6 * 20 * 4 * 0.020
+
+
+@pytest.mark.parametrize("read_ahead", [True, False])
+def test_a_slow_consumer_holds_up_the_source(read_ahead: bool) -> None:
+    read = []
+
+    def endless() -> Iterator[int]:
+        for number in count():
+            read.append(number)
+            yield number
+
+    most = 3 + WAITING if read_ahead else 2 + WAITING_LIVE
+    results = pipelined(endless(), lambda item: item, lambda item: item, read_ahead=read_ahead)
+    for number in range(5):
+        assert next(results) == number
+        time.sleep(0.05)
+        assert len(read) - number <= most
+    results.close()
+
+
+def test_read_ahead_or_not() -> None:
+    """A live source must not be read before the first stage is free: what was read waits, and gets old."""
+    ages = []
+    for read_ahead in (True, False):
+        clock = (time.perf_counter() for _ in range(8))
+        at_start: list[float] = []
+
+        def first(read_s: float, at_start: list[float] = at_start) -> None:
+            at_start.append(time.perf_counter() - read_s)
+            time.sleep(0.03)
+
+        list(pipelined(clock, first, read_ahead=read_ahead))
+        ages.append(sorted(at_start)[4])
+    assert ages[0] > 0.025 > ages[1]
+
+
+def test_nothing_runs_before_it_is_wanted() -> None:
+    ran = []
+    pipelined(iter([1, 2]), ran.append).close()
+    assert not ran
+
+
+def test_errors_that_are_no_exceptions() -> None:
+    def stop(item: int) -> int:
+        if item == 2:
+            raise KeyboardInterrupt
+        return item
+
+    results = pipelined(iter(range(5)), stop)
+    assert list(islice(results, 2)) == [0, 1]
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+
+
+def test_a_stage_may_not_end_the_stream() -> None:
+    """StopIteration out of a stage is a fault, and no end that would hide what is left."""
+    with pytest.raises(RuntimeError):
+        list(pipelined(iter([1, 2, 3]), lambda item: next(iter([]))))
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """SIGINT raises KeyboardInterrupt, also where it was ignored by the parent, as shells do in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_of_the_consumer_ends_soon() -> None:
+    results = pipelined(count(), slow_identity, slow_identity)
+    assert next(results) == 0
+    threading.Timer(0.1, _thread.interrupt_main).start()
+    started = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        for _ in results:
+            pass
+    assert time.perf_counter() - started < 2
+
+
+def slow_identity(item: int) -> int:
+    time.sleep(0.02)
+    return item
+
+
+def test_results_are_let_go() -> None:
+    """What the consumer has dropped is not kept by the stages."""
+    alive = 0
+
+    class Big:
+        def __init__(self) -> None:
+            nonlocal alive
+            alive += 1
+
+        def __del__(self) -> None:
+            nonlocal alive
+            alive -= 1
+
+    most = 0
+    for _ in pipelined((Big() for _ in range(200)), lambda item: item, lambda item: item):
+        most = max(most, alive)
+    assert most <= 3 + WAITING + 2  # and those in a hand while they are passed on
+
+
+@pytest.mark.parametrize("end", ["pass", "results.close()", "raise SystemExit(7)", "del results"])
+def test_a_program_that_stops_in_the_middle_ends(end: str) -> None:
+    code = f"""
+from itertools import count
+from frontend.stages import pipelined
+results = pipelined(count(), lambda n: n + 1, lambda n: 2 * n)
+assert next(results) == 2
+{end}
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=30, capture_output=True, text=True)
+    assert done.stderr == ""
+    assert done.returncode == (7 if "7" in end else 0)

@@ -1,0 +1,116 @@
+"""The figures of a run, against slow and obvious computations."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airline.lines import LineSet
+from airline.trace import Trace
+from frontend.cli.summary import WINDOW, SummaryCounter
+from frontend.frame import Frame
+from frontend.protocols import FrameResult
+from frontend.tracks import LineTracks
+
+IMAGE = np.zeros((8, 8), np.uint8)
+EDGES = np.zeros((8, 8), np.float32)
+
+
+def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> FrameResult:
+    """What one frame would come to: as many tracks as hits, and some lines."""
+
+    def rows(count: int, *shape: int, kind: type = np.float32) -> np.ndarray:
+        return np.zeros((count, *shape), kind)
+
+    detected = LineSet(rows(lines, 2, 2), rows(lines), rows(lines, 6))
+    trace = Trace(EDGES, rows(0, 2, kind=np.int32), rows(0, 2), rows(0, 6), rows(0, kind=np.int32), detected, {})
+    count = len(hits)
+    tracks = LineTracks(
+        frame_index=0,
+        stamp_ns=0,
+        ids=np.arange(count),
+        segments_px=rows(count, 2, 2),
+        observed_px=rows(count, 2, 2),
+        covariances=rows(count, 2, 2),
+        scores=rows(count),
+        descriptors=rows(count, 6),
+        states=rows(count, kind=np.uint8),
+        ages=rows(count, kind=np.int32),
+        hits=np.array(hits, np.int32),
+        line_indices=rows(count, kind=np.int32),
+        fragment_of=rows(count, kind=np.int64),
+    )
+    return FrameResult(Frame(0, 0, IMAGE), trace, tracks, MappingProxyType(stage_ms))
+
+
+@given(
+    seen=st.lists(st.lists(st.booleans(), min_size=12, max_size=12), max_size=30),
+    more_lines=st.lists(st.integers(0, 5), min_size=12, max_size=12),
+    times=st.lists(st.floats(0, 1000), min_size=12, max_size=12),
+    frames=st.integers(1, 12),
+    confirm_hits=st.integers(1, 5),
+    skipped=st.integers(0, 3),
+)
+def test_figures(
+    seen: list[list[bool]],
+    more_lines: list[int],
+    times: list[float],
+    frames: int,
+    confirm_hits: int,
+    skipped: int,
+) -> None:
+    """`seen` says of each track in which frames it was seen."""
+    counter = SummaryCounter(confirm_hits)
+    live, lines = [], []
+    for k in range(frames):
+        hits = [sum(track[: k + 1]) for track in seen if track[k]]
+        live.append(len(hits))
+        lines.append(len(hits) + more_lines[k])
+        counter.add(result(hits, lines[-1], {"edges": times[k], "track": 2 * times[k]}))
+    summary = counter.summary(skipped)
+
+    lengths = [sum(track[:frames]) for track in seen]
+    confirmed = [length for length in lengths if length >= confirm_hits]
+    assert (summary.frames, summary.skipped_frames) == (frames, skipped)
+    assert summary.tracks == len(confirmed)
+    assert summary.track_length_median == (statistics.median(confirmed) if confirmed else 0)
+    assert summary.lines_per_frame == pytest.approx(statistics.mean(lines), abs=0.00501)
+    assert summary.live_tracks_per_frame == pytest.approx(statistics.mean(live), abs=0.00501)
+    median = statistics.median(times[:frames])
+    assert summary.stage_ms == pytest.approx({"edges": median, "track": 2 * median}, abs=0.0005)
+    assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
+
+
+def test_a_run_without_frames() -> None:
+    summary = SummaryCounter(3).summary(2)
+    assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 2)
+    assert summary.stage_ms == {}
+    assert summary.table().row_count > 0
+
+
+def test_clock_runs_from_start_to_the_latest_frame() -> None:
+    counter = SummaryCounter(3)
+    time.sleep(0.5)
+    counter.start()
+    for _ in range(5):
+        time.sleep(0.02)
+        counter.add(result([], 0, {}))
+    time.sleep(0.5)
+    assert 9 < counter.summary(0).fps <= 50
+
+
+def test_memory_does_not_grow_with_the_run() -> None:
+    """Medians are over the latest frames, and there they are exact."""
+    counter = SummaryCounter(3)
+    rng = np.random.default_rng(0)
+    times = [1000.0] * WINDOW + rng.uniform(0, 50, WINDOW).tolist()
+    for spent in times:
+        counter.add_time({"edges": spent})
+    assert counter.summary(0).stage_ms["edges"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)

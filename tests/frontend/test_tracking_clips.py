@@ -1,0 +1,282 @@
+"""The clips that trackers are measured on: the same frames each time, and true lines where they are said to be."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from airline.errors import InputError
+from airline.evaluation.repeatability import warp
+from airline.scenes import RenderedClip
+from airline.scenes.visibility import MIN_LENGTH
+from frontend.evaluation.clip import Truth
+from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
+from frontend.evaluation.occluder import Occluder, cut_by_discs
+from frontend.evaluation.rendered import LabelledClip, rendered_clips
+from frontend.frame import Frame
+from frontend.sources.scene import frame_of
+
+NAMES = ["static", "slow", "handheld", "fast", "dark", "exposure", "occlusion", "repeated"]
+CLIPS = {clip.name: clip for clip in rendered_clips()}
+SIZE = (640, 480)
+
+
+def clip_named(name: str) -> LabelledClip:
+    clip = CLIPS[name]
+    assert isinstance(clip, LabelledClip)
+    return clip
+
+
+def grey(frame: Frame) -> NDArray[np.float32]:
+    image = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+    return np.asarray(image, np.float32)
+
+
+def steps_across(image: NDArray[np.float32], segments: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(N,) mean difference of grey levels between the two sides of each segment, 1.5 px from it."""
+    steps = []
+    for start, end in segments:
+        along = (end - start) / np.hypot(*(end - start))
+        points = start + np.linspace(0.1, 0.9, 41)[:, None] * (end - start)
+        normal = 1.5 * np.array([-along[1], along[0]])
+        sides = [
+            cv2.remap(image, (points + s * normal).astype(np.float32)[None], None, cv2.INTER_LINEAR) for s in (-1, 1)
+        ]
+        # Along a checkerboard's joint the steps change sign: average the noise over a few pixels only.
+        steps.append(np.abs(cv2.blur(sides[0] - sides[1], (5, 1))).mean())
+    return np.array(steps)
+
+
+def same(a: tuple[Frame, Truth], b: tuple[Frame, Truth]) -> bool:
+    return (
+        np.array_equal(a[0].image, b[0].image)
+        and np.array_equal(a[1].segments_px, b[1].segments_px)
+        and np.array_equal(a[1].ids, b[1].ids)
+        and (a[0].index, a[0].stamp_ns) == (b[0].index, b[0].stamp_ns)
+    )
+
+
+def test_the_rendered_clips_are_those_named() -> None:
+    assert list(CLIPS) == [clip.name for clip in rendered_clips()] == NAMES
+    assert all(len(clip) == (60 if name == "static" else 120) for name, clip in CLIPS.items())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str) -> None:
+    clip = clip_named(name)
+    frame, truth = clip.at(26)
+    again = {other.name: other for other in rendered_clips()}[name]
+    assert isinstance(again, LabelledClip)
+    assert same((frame, truth), again.at(26))
+    assert same(next(iter(again)), clip.at(0))
+    assert frame.index == 26
+    assert frame.stamp_ns == round(26e9 / 30)
+    assert frame.image.shape == (480, 640, 3)
+    assert frame.camera is not None
+    assert (frame.camera.width, frame.camera.height, frame.camera.distortion) == (640, 480, "none")
+    assert truth.segments_px.dtype == np.float32
+    assert truth.ids.dtype == np.int64
+    assert len(truth.ids) == len(truth.segments_px) > 100
+    assert (truth.segments_px >= -1e-3).all()
+    assert (truth.segments_px <= np.array(SIZE) - 1 + 1e-3).all()
+    next_truth = clip.at(27)[1]
+    assert len(np.intersect1d(truth.ids, next_truth.ids)) > 0.6 * len(np.unique(truth.ids))
+
+
+@pytest.mark.parametrize("name", ["static", "slow", "handheld", "repeated", "occlusion"])
+def test_true_lines_are_steps_of_the_image(name: str) -> None:
+    frame, truth = clip_named(name).at(20)
+    assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.85  # the truth holds faint lines, too
+
+
+def test_fast_reaches_forty_pixels_per_frame() -> None:
+    sequence = clip_named("fast").takes[0]
+    moved = []
+    for i in range(0, 119):
+        pose, following = sequence.pose(i), sequence.pose(i + 1)
+        turn = sequence.K @ following[:3, :3].T @ pose[:3, :3] @ np.linalg.inv(sequence.K)
+        corners = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
+        moved.append(np.hypot(*(warp(corners, turn) - corners).T))
+    motion = np.array(moved)
+    assert 38 < motion.max() < 50
+    assert 25 < motion[:, 4].max() < 35
+    assert motion[:, 4].mean() > 15
+
+
+def test_dark_has_a_quarter_of_the_grey_levels_and_exposure_jumps_by_two() -> None:
+    dark = clip_named("dark").takes[0]
+    lit = replace(dark, effects=replace(dark.effects, exposure=1.0, noise_sigma=0.0))
+    assert clip_named("dark").at(10)[0].image.mean() < 0.3 * lit.render(10).image.mean()
+    jumps = clip_named("exposure")
+    ratios = [jumps.at(i)[0].image.mean() / jumps.at(i - 1)[0].image.mean() for i in (12, 24, 36, 48)]
+    # Twice the light is 1.37 times the grey level, less where it clips.
+    assert np.allclose(np.abs(np.log2(ratios)), 1 / 2.2, atol=0.12)
+    assert np.array_equal(np.sign(np.log2(ratios)), [1, -1, -1, 1])
+    assert jumps.at(13)[0].image.mean() == pytest.approx(jumps.at(14)[0].image.mean(), rel=0.03)
+
+
+def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
+    clip, occluder = clip_named("occlusion"), Occluder()
+    view = clip.takes[0].render(16)
+    bare, full = frame_of(16, view), Truth(view.segments_px, view.ids)
+    frame, truth = occluder.cover(bare, full)
+    pixels = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1).astype(np.float32)
+    mask = occluder.hides(pixels, 16, SIZE)
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    outer = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert 0.15 < mask.mean() < 0.5
+    assert np.array_equal(frame.image[~outer], bare.image[~outer])
+    assert (frame.image[inner] != bare.image[inner]).any(axis=1).mean() > 0.99
+
+    assert set(truth.ids) <= set(full.ids)
+    cut = 0
+    for segment in full.segments_px[::6]:
+        pieces, _ = cut_by_discs(segment[None], occluder.discs(16, *SIZE), occluder.radius)
+        delta = segment[1] - segment[0]
+        length = float(np.hypot(*delta))
+        shares = np.linspace(0, 1, round(length / 0.05))[:, None]
+        hidden = occluder.hides(segment[0] + shares * delta, 16, SIZE)
+        borders = np.flatnonzero(np.diff(np.concatenate([[True], hidden, [True]])))
+        runs = (borders[1::2] - borders[::2]) * 0.05  # visible stretches, px
+        found = np.hypot(*(pieces[:, 1] - pieces[:, 0]).T)
+        # A stretch within the sampling's reach of the least length may count or not.
+        clear = np.abs(runs - MIN_LENGTH) > 0.3
+        if clear.all():
+            np.testing.assert_allclose(found, runs[runs >= MIN_LENGTH], atol=0.2)
+        middle = occluder.hides(pieces.mean(axis=1), 16, SIZE)
+        assert not middle.any()
+        cut += int(hidden.any())
+    assert cut > 10
+
+
+def test_lines_hide_for_five_to_twenty_frames_and_come_back_under_their_id() -> None:
+    sequence = RenderedClip("street", "static", 6, 120, effects=None)
+    view = sequence.render(0)
+    occluder, seen = Occluder(), defaultdict(list)
+    for i in range(120):
+        pieces, rows = cut_by_discs(view.segments_px, occluder.discs(i, *SIZE), occluder.radius)
+        assert len(pieces) == len(rows)
+        for track_id in np.unique(view.ids[rows]).tolist():
+            seen[track_id].append(i)
+    gaps = np.concatenate([np.diff(frames) - 1 for frames in seen.values()])
+    gaps = gaps[gaps > 0]
+    assert len(gaps) > 2 * len(seen)
+    assert np.mean((gaps >= 5) & (gaps <= 20)) > 0.9
+    assert gaps.max() <= 20
+
+
+def test_cut_by_discs_leaves_both_ends() -> None:
+    segments = np.array([[[0, 0], [100, 0]], [[0, 30], [100, 30]], [[45, 0], [55, 0]]], np.float32)
+    pieces, rows = cut_by_discs(segments, np.array([[45.0, 0.0], [55.0, 0.0]]), 20.0)
+    assert rows.tolist() == [0, 0, 1]
+    np.testing.assert_allclose(pieces, [[[0, 0], [25, 0]], [[75, 0], [100, 0]], [[0, 30], [100, 30]]], atol=1e-4)
+    nothing, none = cut_by_discs(np.zeros((0, 2, 2), np.float32), np.array([[45.0, 0.0]]), 20.0)
+    assert nothing.shape == (0, 2, 2)
+    assert len(none) == 0
+
+
+# Moved photographs. The "photograph" is a rendered street: it is in the repository, and it has lines.
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("streets")
+    for seed in range(4):
+        image = RenderedClip("street", "static", seed + 1, 1, size=(320, 240), effects=None).render(0).image
+        cv2.imwrite(str(path / f"{seed}.png"), image)
+    return path
+
+
+@pytest.fixture(scope="module")
+def photo(folder: Path) -> MovedPhoto:
+    clip = moved_photos(folder, count=1, frames=5)[0]
+    assert isinstance(clip, MovedPhoto)
+    return clip
+
+
+def test_moved_photos_are_spread_over_the_folder_and_the_same_each_time(folder: Path) -> None:
+    clips = moved_photos(folder, count=2, frames=5)
+    assert [clip.name for clip in clips] == [f"{folder.name}-1", f"{folder.name}-2"]
+    assert len(moved_photos(folder, count=9)) == 4
+    last = cv2.imread(str(folder / "3.png"), cv2.IMREAD_GRAYSCALE)
+    assert isinstance(clips[1], MovedPhoto)
+    assert np.abs(clips[1].photo.astype(int) - last).max() <= 1
+    frames = list(clips[0])
+    assert len(frames) == len(clips[0]) == 5
+    assert all(same(a, b) for a, b in zip(frames, moved_photos(folder, count=2, frames=5)[0], strict=True))
+    assert not np.array_equal(frames[0][0].image, frames[1][0].image)
+    assert frames[0][0].image.shape == (180, 240)
+    assert [frame.index for frame, _ in frames] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("photo_size", [(640, 480), (512, 512), (480, 640), (640, 286)])
+def test_homographies_are_smooth_keep_inside_and_move_as_a_hand_does(photo_size: tuple[int, int]) -> None:
+    view = (round(0.75 * photo_size[0]), round(0.75 * photo_size[1]))
+    corners = np.array([[0.0, 0], [view[0] - 1, 0], [0, view[1] - 1], [view[0] - 1, view[1] - 1]])
+    for seed in range(6):
+        moves = smooth_homographies(photo_size, view, 120, seed)
+        outline = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
+        assert (outline >= 0).all()
+        assert (outline <= np.array(photo_size) - 1).all()
+        steps = np.linalg.norm([warp(warp(corners, np.linalg.inv(a)), b) - corners for a, b in pairwise(moves)], axis=2)
+        assert 2 < steps.mean() < 12
+        assert 5 < steps.max() < 20
+        assert np.linalg.norm(np.diff(outline, 2, axis=0), axis=2).max() < 8
+
+
+def test_the_image_follows_the_homography(photo: MovedPhoto) -> None:
+    dots = np.stack(np.meshgrid(np.arange(30, 300, 30), np.arange(30, 220, 30)), axis=-1).reshape(-1, 2)
+    pattern = np.full((240, 320), 128, np.uint8)
+    for x, y in dots:
+        cv2.circle(pattern, (int(x), int(y)), 3, 255, -1)
+    clip = replace(photo, photo=pattern)
+    width, height = clip.size
+    for (frame, _), move in zip(clip, clip.homographies(), strict=True):
+        image = grey(frame) - np.median(frame.image)
+        expected = warp(dots.astype(np.float64), move)
+        inside = ((expected > 8) & (expected < np.array([width, height]) - 9)).all(axis=1)
+        assert inside.sum() > 10
+        for x, y in expected[inside]:
+            column, row = round(x), round(y)
+            patch = np.clip(image[row - 6 : row + 7, column - 6 : column + 7] - 12, 0, None)
+            dy, dx = np.mgrid[-6:7, -6:7]
+            found = (column + (patch * dx).sum() / patch.sum(), row + (patch * dy).sum() / patch.sum())
+            np.testing.assert_allclose(found, (x, y), atol=0.25)
+
+
+def test_true_lines_of_a_photograph_are_steps_of_every_frame(photo: MovedPhoto) -> None:
+    ids = []
+    for frame, truth in photo:
+        assert len(truth.ids) == len(np.unique(truth.ids)) > 20
+        assert (truth.segments_px >= -1e-3).all()
+        assert (truth.segments_px <= np.array(photo.size) - 1 + 1e-3).all()
+        assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.9
+        ids.append(truth.ids)
+    assert len(np.intersect1d(ids[0], ids[-1])) > 20
+
+
+def test_moved_lines_are_clipped_to_the_view() -> None:
+    lines = np.array([[[-50, 20], [150, 20]], [[10, -30], [10, 5]], [[300, 300], [400, 400]], [[5, 5], [60, 60]]])
+    truth = moved_lines(lines.astype(np.float32), np.eye(3), (100, 80))
+    assert truth.ids.tolist() == [0, 3]
+    np.testing.assert_allclose(truth.segments_px, [[[0, 20], [99, 20]], [[5, 5], [60, 60]]], atol=1e-5)
+
+
+def test_folders_without_photographs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere"):
+        moved_photos(tmp_path / "nowhere")
+    with pytest.raises(InputError):
+        moved_photos(tmp_path)
+    (tmp_path / "a.png").write_bytes(b"no image")
+    with pytest.raises(InputError, match=r"a\.png"):
+        moved_photos(tmp_path)
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((100, 300), np.uint8))
+    with pytest.raises(InputError, match="300x100"):
+        moved_photos(tmp_path)

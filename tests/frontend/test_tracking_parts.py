@@ -1,0 +1,318 @@
+"""The tracker's parts, one by one: motion, profiles, votes, assignment, fusion, fragments, borders."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from airline.stages.split_regions import fit_regions, residual
+from frontend.tracking.appearance import OFFSETS, side_profiles
+from frontend.tracking.assignment import assign
+from frontend.tracking.borders import clip
+from frontend.tracking.fragments import absorbed, parents
+from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances
+from frontend.tracking.motion import predict_segments, warp, working_image
+from frontend.tracking.overlap import LineFeatures, overlap_votes
+from tests.helpers.tracking_frames import frame, line_set, texture
+
+LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
+ALL = np.ones(3, np.bool_)
+
+
+def looks(segments: object, profiles: np.ndarray | None = None) -> LineFeatures:
+    """Lines with descriptors of their angles, and the same profile for all unless given."""
+    lines = line_set(np.array(segments))
+    same = np.tile(np.float32([-0.5, -0.5, -0.5, -0.5, 0.5, 0.5, 0.5, 0.5]) / np.sqrt(2), (len(lines), 1))
+    return LineFeatures(lines.segments, lines.descriptors, same if profiles is None else profiles)
+
+
+def votes(tracks: LineFeatures, lines: LineFeatures, band: float = 4.0, parts: np.ndarray | None = None) -> np.ndarray:
+    bands = np.full(len(tracks.segments), band, np.float32)
+    parts = tracks.segments if parts is None else parts
+    alike = np.full(len(bands), -1, np.float32)
+    return overlap_votes(tracks, lines, bands, parts, alike, max_angle=np.deg2rad(20), min_agreement=0.5)
+
+
+# ---- motion
+
+
+def test_prediction_follows_the_image():
+    before, after = (working_image(frame(0, shift=s).image) for s in (0, 12))
+    moved = predict_segments(before, after, LINES, ALL, np.eye(3))
+    assert np.abs(moved.segments - LINES - np.float32([12, 0])).max() < 0.6
+    assert moved.followed.all()
+    assert moved.trusted > 0.8
+
+
+def test_prediction_follows_a_turning_camera():
+    plane = texture(3, (640, 480))[100:-100, 100:-100]
+    camera = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
+    turn = camera @ cv2.Rodrigues(np.array([0.02, 0.06, 0.05]))[0] @ np.linalg.inv(camera)
+    seen = cv2.warpPerspective(plane, turn, (640, 480), borderMode=cv2.BORDER_REFLECT)
+    lines = np.random.default_rng(0).uniform((150, 120), (500, 360), (40, 2, 2)).astype(np.float32)
+    moved = predict_segments(working_image(plane), working_image(seen), lines, np.zeros(40, np.bool_), np.eye(3))
+    expected = warp(turn, lines)
+    assert np.abs(expected - lines).max() > 30
+    assert np.abs(moved.segments - expected).max() < 2.5, "lines without flow of their own follow the whole image"
+    assert not moved.followed.any()
+
+
+def test_prediction_without_texture_goes_on_as_before():
+    flat = working_image(np.full((160, 200), 90, np.uint8))
+    previous = np.array([[1.0, 0, 5], [0, 1, -2], [0, 0, 1]])
+    moved = predict_segments(flat, flat, LINES, ALL, previous)
+    assert np.allclose(moved.segments, LINES + np.float32([5, -2]), atol=1e-3)
+    assert not moved.followed.any()
+    assert moved.trusted == 0
+
+
+@pytest.mark.parametrize(("shape", "factor"), [((480, 640), 2), ((120, 160), 1), ((1080, 1920), 4), ((1, 1), 1)])
+def test_working_images_are_small(shape, factor):
+    image = working_image(np.zeros(shape, np.uint8))
+    assert max(image.pixels.shape) <= 480
+    assert image.factor.tolist() == [factor, factor]
+
+
+# ---- profiles
+
+
+def step_image() -> np.ndarray:
+    image = np.full((100, 120), 60, np.uint8)
+    image[:, 60:] = 160
+    return image
+
+
+def test_profiles_of_a_step():
+    down = np.array([[[59.5, 20], [59.5, 80]]], np.float32)  # x to the right is to the left of the direction
+    profile = side_profiles(step_image(), down)[0]
+    right_of_direction = OFFSETS < 0
+    assert len(set(np.sign(profile[right_of_direction]))) == 1
+    assert np.sign(profile[0]) == -np.sign(profile[-1])
+    assert np.linalg.norm(profile) == pytest.approx(1, abs=0.01)
+    assert np.allclose(side_profiles(step_image(), down[:, ::-1])[0], profile[::-1], atol=1e-6)
+
+
+def test_profiles_forget_brightness_and_contrast():
+    lines = np.array([[[59.5, 20], [59.5, 80]], [[50, 20], [70, 90]]], np.float32)
+    image = step_image()
+    changed = (image * 0.5 + 90).astype(np.uint8)
+    assert np.allclose(side_profiles(image, lines), side_profiles(changed, lines), atol=0.02)
+    assert np.allclose(side_profiles(np.full_like(image, 77), lines), 0)
+
+
+def test_both_edges_of_a_bar_are_told_apart():
+    image = np.full((100, 120), 60, np.uint8)
+    image[:, 50:58] = 200
+    edges = np.array([[[49.5, 20], [49.5, 80]], [[57.5, 20], [57.5, 80]]], np.float32)
+    first, second = side_profiles(image, edges)
+    assert first @ second < -0.2
+    assert first @ first > 0.95
+
+
+# ---- votes
+
+
+def test_votes_of_hand_made_pairs():
+    track = looks([[[0, 0], [100, 0]]])
+    lines = looks(
+        [[[0, 0], [100, 0]], [[50, 2], [150, 2]], [[0, 0], [0, 100]], [[0, 50], [100, 50]], [[0, 1], [50, 1]]]
+    )
+    # cover (35 % for the share of the shorter, 65 % for that of the longer) times closeness, squared
+    expected = np.square([1, 0.5 * 0.5, 0, 0, (0.35 + 0.65 * 0.5) * 0.75])
+    assert votes(track, lines)[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_votes_prefer_the_piece_that_was_seen_last():
+    track = looks([[[0, 0], [100, 0]]])
+    pieces = looks([[[0, 0], [45, 0]], [[55, 0], [100, 0]]])
+    first, second = votes(track, pieces)[0]
+    assert first == pytest.approx(second)
+    first, second = votes(track, pieces, parts=pieces.segments[1:])[0]
+    assert second == pytest.approx(1)
+    assert first == pytest.approx(0.35**2)
+
+
+def test_votes_do_not_depend_on_the_order_of_end_points():
+    rng = np.random.default_rng(2)
+    segments = rng.uniform(0, 60, (15, 2, 2)).astype(np.float32)
+    profiles = rng.normal(0, 0.3, (15, 8)).astype(np.float32)
+    lines = looks(segments, profiles)
+    reversed_lines = LineFeatures(segments[:, ::-1].copy(), lines.descriptors, profiles[:, ::-1].copy())
+    forward = votes(lines, lines, band=10.0)
+    assert np.allclose(forward, votes(lines, reversed_lines, band=10.0), atol=1e-4)
+    assert (np.diag(forward) > 0.3).all()
+
+
+def test_votes_prefer_the_line_that_looks_alike():
+    step = np.float32([-1, -1, -1, -1, 1, 1, 1, 1]) / np.float32(np.sqrt(8))
+    track = looks([[[0, 0], [100, 0]]], step[None])
+    lines = looks([[[0, 2], [100, 2]], [[0, -2], [100, -2]]], np.stack([step, -step]))
+    alike, opposite = votes(track, lines)[0]
+    assert alike > 0.2
+    assert opposite == pytest.approx(0, abs=1e-6)
+
+
+# ---- assignment
+
+
+@settings(max_examples=200, deadline=None)
+@given(arrays(np.float32, st.tuples(st.integers(0, 5), st.integers(0, 5)), elements=st.floats(0, 1, width=16)))
+def test_assignment_is_the_best_of_all(matrix):
+    least = 0.25
+    chosen = assign(matrix, least)
+    rows, columns = matrix.shape
+    taken = chosen[chosen >= 0]
+    assert len(set(taken.tolist())) == len(taken)
+    worth = np.where(matrix >= least, matrix, 0).astype(np.float64)
+    padded = np.hstack([worth, np.zeros((rows, rows))])
+    best = max(sum(padded[i, j] for i, j in enumerate(order)) for order in permutations(range(columns + rows), rows))
+    assert sum(matrix[i, j] for i, j in enumerate(chosen) if j >= 0) == pytest.approx(best, abs=1e-6)
+    assert all(matrix[i, j] >= least for i, j in enumerate(chosen) if j >= 0)
+
+
+def test_assignment_leaves_masked_rows_and_columns_alone():
+    matrix = np.array([[0.9, 0.5, 0.3], [0.8, 0.7, 0.2]], np.float32)
+    assert assign(matrix, 0.1).tolist() == [0, 1]
+    assert assign(matrix, 0.1, rows=np.array([False, True])).tolist() == [-1, 0]
+    assert assign(matrix, 0.1, columns=np.array([False, True, True])).tolist() == [2, 1]
+
+
+def test_assignment_agrees_with_scipy_on_many_lines():
+    from scipy.optimize import linear_sum_assignment
+
+    rng = np.random.default_rng(4)
+    for density in (0.005, 0.02, 0.2):
+        matrix = rng.random((150, 170)).astype(np.float32) * (rng.random((150, 170)) < density)
+        chosen = assign(matrix, 0.1)
+        worth = np.where(matrix >= 0.1, matrix, 0)
+        best = worth[linear_sum_assignment(worth, maximize=True)].sum()
+        assert worth[np.flatnonzero(chosen >= 0), chosen[chosen >= 0]].sum() == pytest.approx(best, rel=1e-5)
+
+
+# ---- fusion
+
+
+def test_fusing_equal_lines_halves_their_variance():
+    line, errors = LINES[:1], line_covariances(LINES[:1], None)
+    fused, covariance = fuse(line, errors, line, errors, (200, 160))
+    assert np.allclose(fused, line, atol=1e-4)
+    assert np.allclose(covariance, errors / 2, rtol=1e-4)
+
+
+def test_fusion_weighs_by_the_covariances():
+    predicted = np.array([[[20, 50], [120, 50]]], np.float32)
+    measured = predicted + np.float32([0, 1])
+    errors = line_covariances(predicted, None)
+    for factor, expected in ((1.0, 50.5), (4.0, 50.2), (1e-6, 51.0)):
+        fused, _ = fuse(predicted, errors, measured, np.float32(factor) * errors, (200, 160))
+        assert np.allclose(fused[0, :, 1], expected, atol=1e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_fusion_is_the_kalman_update(seed):
+    """Against the textbook update in a frame that lies along the prediction."""
+    rng = np.random.default_rng(seed)
+    length, lever = rng.uniform(20, 100), rng.uniform(-15, 15)
+    offset, turn = rng.normal(0, 0.5), rng.normal(0, 0.02)
+    before, noise = (np.array([[a, c], [c, b]]) for a, b, c in ((0.3, 2e-4, 1e-3), (0.2, 3e-4, -2e-3)))
+    predicted = np.array([[-length / 2, 0], [length / 2, 0]])
+    arm = np.array([np.cos(turn), np.sin(turn)]) * length / 2
+    measured = np.array([lever, offset]) + np.stack([-arm, arm])
+    carried = np.array([[1, lever], [0, 1]]) @ before @ np.array([[1, lever], [0, 1]]).T
+    gain = carried @ np.linalg.inv(carried + noise)
+    shift, angle = gain @ [offset, turn]
+    after = (np.eye(2) - gain) @ carried
+    place = np.array([500.0, 400.0])
+    heading = rng.uniform(0, 2 * np.pi)
+    spin = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+    args = [(predicted @ spin.T + place)[None], before[None], (measured @ spin.T + place)[None], noise[None]]
+    fused, covariance = fuse(*(np.float32(a) for a in args), (1000, 800))
+    back = (fused[0].astype(np.float64) - place) @ spin
+    delta = back[1] - back[0]
+    assert np.arctan2(delta[1], delta[0]) == pytest.approx(angle, abs=2e-4)
+    at_lever = back[0, 1] + (lever - back[0, 0]) * delta[1] / delta[0]
+    assert at_lever == pytest.approx(shift, abs=0.02)
+    moved = np.array([[1, back[:, 0].mean() - lever], [0, 1]])
+    assert np.allclose(covariance[0], moved @ after @ moved.T, rtol=0.05, atol=2e-4)
+
+
+def test_covariances_follow_residual_and_length():
+    lines = np.array([[[0, 0], [40, 0]], [[0, 0], [160, 0]]], np.float32)
+    short, long = line_covariances(lines, np.full(2, 0.4, np.float32))
+    assert long[0, 0] < short[0, 0]
+    assert long[1, 1] < short[1, 1] / 16
+    rough = line_covariances(lines, np.full(2, 0.8, np.float32))
+    assert rough[0, 0, 0] > 3 * short[0, 0]
+
+
+def test_predictions_err_more_the_farther_they_move():
+    errors = line_covariances(LINES, None)
+    still = predicted_covariances(errors, LINES, LINES, ALL)
+    far = predicted_covariances(errors, LINES, LINES + np.float32(20), ALL)
+    blind = predicted_covariances(errors, LINES, LINES, ~ALL)
+    assert (errors[:, 0, 0] < still[:, 0, 0]).all()
+    assert (still[:, 0, 0] < far[:, 0, 0]).all()
+    assert (far[:, 0, 0] < blind[:, 0, 0]).all()
+
+
+def test_residuals_of_scattered_pixels():
+    rng = np.random.default_rng(3)
+    along = np.linspace(0, 100, 4000)
+    across = rng.normal(0, 0.3, 4000)
+    angle = 0.7
+    points = np.stack(
+        [20 + along * np.cos(angle) - across * np.sin(angle), 10 + along * np.sin(angle) + across * np.cos(angle)], 1
+    ).astype(np.float32)
+    _, _, parts = fit_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
+    assert residual(parts[0]) == pytest.approx(0.3, abs=0.02)
+
+
+# ---- fragments and borders
+
+
+def test_fragments_lie_on_an_older_line_but_not_beside_the_piece_that_goes_on():
+    whole = np.array([[[0, 0], [100, 0]]], np.float32)
+    goes_on = [[0, 0], [60, 0]]
+    lines = [
+        [[65, 0], [100, 0]],
+        [[20, 0.5], [50, 0.5]],
+        [[65, 6], [100, 6]],
+        [[90, 0], [160, 0]],
+        [[65, -20], [100, 20]],
+    ]
+    assert parents(np.array([goes_on, *lines], np.float32), whole).tolist() == [-1, 0, -1, -1, -1, -1]
+    assert parents(np.array(lines, np.float32), whole[:0]).tolist() == [-1] * 5
+
+
+def test_of_two_tracks_on_one_line_the_younger_is_the_fragment():
+    whole = np.array([[[0, 0], [90, 0]], [[20, 0], [100, 0]]], np.float32)
+    seen = np.array([[[0, 0], [40, 0]], [[50, 0], [80, 0]]], np.float32)
+    assert parents(seen, whole).tolist() == [-1, 0]
+
+
+def test_pieces_inside_the_seen_line_are_absorbed():
+    seen = np.array([[[0, 0], [100, 0]]], np.float32)
+    pieces = np.array([[[65, 1], [95, 1]], [[65, 1], [95, 1]], [[90, 0], [160, 0]]], np.float32)
+    assert absorbed(pieces, np.array([0, -1, 0]), seen).tolist() == [True, False, False]
+
+
+@settings(max_examples=100, deadline=None)
+@given(arrays(np.float32, (4, 2, 2), elements=st.floats(-60, 160, width=32)))
+def test_clipping_keeps_what_is_inside(segments):
+    clipped, lengths = clip(segments, (100, 80))
+    share = np.linspace(0, 1, 2001)[:, None]
+    for segment, part, length in zip(segments.astype(np.float64), clipped, lengths, strict=True):
+        points = segment[0] + share * (segment[1] - segment[0])
+        inside = ((points >= -0.5) & (points <= (99.5, 79.5))).all(axis=1)
+        whole = np.linalg.norm(segment[1] - segment[0])
+        assert length == pytest.approx(inside.mean() * whole, abs=0.01 * whole + 0.05)
+        if length > 1:
+            assert ((part >= -0.51) & (part <= (99.51, 79.51))).all()
+            assert (part[1] - part[0]) @ (segment[1] - segment[0]) > 0

@@ -1,0 +1,92 @@
+"""The command line, inside this process or in one of its own, and what it recorded, read back."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frontend.run import main
+
+ROOT = Path(__file__).parents[2]
+EVERY_FRAME = {
+    *(f"/camera/{name}" for name in ("image", "edges", "orientation", "regions", "segments")),
+    *(f"/camera/{name}" for name in ("tracks", "tracks/lost", "tails")),
+    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "lost")),
+    *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "refine", "track")),
+    "/stats/track_length",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Exit code and everything printed."""
+
+    code: int | str | None
+    out: str
+    err: str
+
+
+def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outcome:
+    """A command line, `frontend.run` or another, here; under pytest, log lines go to `caplog` and not to stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code: int | str | None = main([str(argument) for argument in arguments])
+        except SystemExit as stop:  # argparse
+            code = stop.code
+    return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
+    """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
+    start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    start += f"runpy.run_module('{module}', run_name='__main__', alter_sys=True)"
+    return subprocess.Popen([sys.executable, "-c", start, *map(str, arguments)], env=environment, text=True, **options)
+
+
+def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
+    """Columns of every entity of a recording, rows in order of `frame`, times in ns."""
+    from rerun.chunk import RrdReader
+
+    entities: dict[str, dict[str, list[Any]]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        columns = entities.setdefault(chunk.entity_path, {})
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            is_time = str(column.type) in ("duration[ns]", "timestamp[ns]")
+            columns.setdefault(name, []).extend((column.cast("int64") if is_time else column).to_pylist())
+    for columns in entities.values():
+        if "frame" in columns:
+            order = sorted(range(len(columns["frame"])), key=columns["frame"].__getitem__)
+            columns.update(
+                {name: [rows[k] for k in order] for name, rows in columns.items() if len(rows) == len(order)}
+            )
+    return entities
+
+
+def read_screen(control: int, watch: Callable[[bytes], None] = lambda screen: None) -> str:
+    """All that is written to a pseudo-terminal until nobody holds it, without control codes; closes `control`.
+
+    `watch` is called with the raw screen so far after every part.
+    """
+    screen = b""
+    while True:
+        try:
+            part = os.read(control, 4096)
+        except OSError:  # how Linux says that nobody holds the terminal any more
+            break
+        if not part:
+            break
+        screen += part
+        watch(screen)
+    os.close(control)
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())

@@ -1,0 +1,162 @@
+"""Damaged and hostile input for everything that reads files and messages of strangers: `make fuzz`.
+
+Whatever comes in, the only answers are a sound result and an error of this project (`UndecodableError` of messages);
+within two seconds, without opening any other file, and with little more memory than before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import random
+import resource
+import sys
+import sysconfig
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from airline.errors import AirLineError
+
+LONGEST_S = 2.0
+MOST_MB = 200
+Target = tuple[list[bytes], Callable[[bytes], None]]
+
+_opened: list[str] | None = None
+_NUMBERS = [bytes([value]) * count for value in (0, 1, 0x7F, 0x80, 0xFF) for count in (1, 2, 4, 8)]
+_WORDS = [
+    b"/etc/passwd",
+    b"../../x",
+    b"file:///etc/passwd",
+    b"!!python/object/apply:os.system",
+    b"nan",
+    b"1e999",
+    b"-1",
+]
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and _opened is not None and isinstance(arguments[0], (str, bytes)):
+        _opened.append(os.fsdecode(arguments[0]))
+
+
+sys.addaudithook(_watch)
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """Sound inputs, and what reads them, by name."""
+    from tests.helpers.fuzz_targets import all_targets
+
+    return all_targets(folder)
+
+
+def mutated(rng: random.Random, samples: list[bytes]) -> bytes:
+    """A sample with some things cut, changed, put in, repeated or taken from another one; sometimes only noise."""
+    data = bytearray(rng.choice(samples))
+    if rng.random() < 0.02:
+        return rng.randbytes(rng.randrange(200))
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+        place = rng.randrange(len(data) + 1)
+        length = min(rng.choice((1, 1, 2, 4, 8, 40)), len(data) - place)
+        kind = rng.randrange(8)
+        if kind == 0 and length:
+            data[place] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            data[place : place + length] = rng.randbytes(length)
+        elif kind == 2:
+            del data[place : place + length]
+        elif kind == 3:
+            data[place:place] = data[place : place + length] * rng.choice((1, 2, 50))
+        elif kind == 4:
+            data[place : place + length] = rng.choice(_NUMBERS)
+        elif kind == 5:
+            data[place : place + length] = rng.choice(_WORDS)
+        elif kind == 6:
+            other = rng.choice(samples)
+            start = rng.randrange(len(other) + 1)
+            data[place : place + length] = other[start : start + rng.choice((4, 16, 64))]
+        elif rng.random() < 0.3:
+            del data[place:]
+    return bytes(data)
+
+
+def attempt(read: Callable[[bytes], None], data: bytes, mine: Path) -> str | None:
+    """What was wrong, None if nothing was."""
+    global _opened
+    begin_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    _opened = []
+    try:
+        with suppress(AirLineError):
+            read(data)
+    except Exception as error:
+        deepest = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {str(error)[:200]} at {deepest.filename}:{deepest.lineno}"
+    finally:
+        opened, _opened = _opened, None
+    code = (
+        sys.prefix,
+        sys.base_prefix,
+        sysconfig.get_path("stdlib"),
+        str(Path(__file__).parents[2]),
+        "/dev/",
+        "/proc/",
+    )
+    strangers = [path for path in opened if not path.startswith((str(mine), *code))]
+    if strangers:
+        return f"opened {strangers[0]}"
+    if time.perf_counter() - begin_s > LONGEST_S:
+        return f"took {time.perf_counter() - begin_s:.1f} s"
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    return f"took {grown:.0f} MB" if grown > MOST_MB else None
+
+
+def fuzz(name: str, target: Target, count: int, seed: int, mine: Path) -> dict[str, bytes]:
+    """Try so many inputs; returns the first input for each kind of finding."""
+    samples, read = target
+    for sample in samples:
+        read(sample)  # sound ones are read; and what loads late is loaded
+    findings: dict[str, bytes] = {}
+    rng = random.Random(f"{name} {seed}")
+    for _ in range(count):
+        data = mutated(rng, samples)
+        wrong = attempt(read, data, mine)
+        if wrong is not None:
+            findings.setdefault(wrong, data)
+    return findings
+
+
+def main() -> int:
+    """Command line: one line per target; exit code 1 for findings, which are written into `--keep`."""
+    parser = argparse.ArgumentParser(prog="python -m tests.helpers.fuzz")
+    parser.add_argument("--inputs", type=int, default=10_000, help="per target")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, default=Path("fuzz-findings"))
+    parser.add_argument("--only", help="one target")
+    options = parser.parse_args()
+    logging.disable(logging.ERROR)
+    total = found = 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for name, target in targets(folder).items():
+            if options.only not in (None, name):
+                continue
+            begin_s = time.perf_counter()
+            findings = fuzz(name, target, options.inputs, options.seed, folder)
+            print(f"{name}: {options.inputs} inputs, {len(findings)} findings, {time.perf_counter() - begin_s:.0f} s")
+            for number, (wrong, data) in enumerate(findings.items()):
+                options.keep.mkdir(exist_ok=True)
+                path = options.keep / f"{name}-{number}".replace("/", "_").replace(" ", "_")
+                path.write_bytes(data)
+                print(f"  {path}: {wrong}", flush=True)
+            total, found = total + options.inputs, found + len(findings)
+    print(f"{total} inputs, {found} findings")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

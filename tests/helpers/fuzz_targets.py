@@ -1,0 +1,136 @@
+"""What `tests.helpers.fuzz` feeds: every reader of files and messages of strangers, with sound samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+from mcap.writer import CompressionType
+
+from airline.network.spec import UNetSpec
+from airline.network.weights import load_ranges, load_weights
+from frontend.camera.calibration import read_calibration
+from frontend.cli.settings import RunConfig, dump, load
+from frontend.sources.opencv import decode_image
+from logs import read_tracks
+from logs.files.mcap_file import McapFile
+from logs.images.decoder import decode_still
+from logs.live.message import decode
+from logs.messages.registry import reader_for
+from logs.messages.types import EncodedImage, RawImage, UndecodableError
+from logs.sinks.csv import CsvTrackSink
+from logs.sinks.mcap_tracks import McapTrackSink
+from logs.sinks.parquet import ParquetTrackSink
+from logs.tracks.json import decode_tracks, encode_tracks
+from tests.frontend import test_calibration as calibrations
+from tests.helpers.made_tracks import made_tracks, result_of
+from tests.helpers.mcap_logs import messages, write
+from tests.logs.test_live_message import encoded
+from tests.logs.test_log_messages import MESSAGES
+
+Target = tuple[list[bytes], Callable[[bytes], None]]
+
+
+def all_targets(folder: Path) -> dict[str, Target]:
+    """Targets by name; files go into the folder."""
+    return {
+        **{f"message {schema} {encoding}": _message(schema, encoding) for schema, encoding in MESSAGES},
+        "live message": ([encoded()], lambda data: _ignore(decode(data))),
+        "tracks in JSON": ([encode_tracks(_frame(3))], lambda data: _ignore(decode_tracks(data))),
+        "image file": (_image_files(), lambda data: _ignore(decode_image(data))),
+        "settings": ([dump(RunConfig()).encode()], _file(folder / "s.toml", lambda path: _ignore(load(path, {})))),
+        "calibration": (_calibrations(), _file(folder / "c.yaml", lambda path: _ignore(read_calibration(path)))),
+        "weights": (
+            [_weights()],
+            _file(folder / "w.safetensors", lambda path: _ignore((load_weights(path), load_ranges(path)))),
+        ),
+        "log": (_logs(folder), _file(folder / "l.mcap", _read_log)),
+        "tracks in MCAP": (_tracks(folder, "t.mcap"), _file(folder / "d.mcap", _read_tracks)),
+        "tracks in Parquet": (_tracks(folder, "t.parquet"), _file(folder / "d.parquet", _read_tracks)),
+        "journal": (_tracks(folder, "t.parquet", journal=True), _file(folder / "d.parquet.unfinished", _read_tracks)),
+    }
+
+
+def _ignore(result: object) -> None:
+    """What is read is let go."""
+
+
+def _file(path: Path, read: Callable[[Path], None]) -> Callable[[bytes], None]:
+    def from_file(data: bytes) -> None:
+        path.write_bytes(data)
+        read(path)
+
+    return from_file
+
+
+def _message(schema: str, encoding: str) -> Target:
+    reader = reader_for(schema, encoding)
+    assert reader is not None
+
+    def read(data: bytes) -> None:
+        with suppress(UndecodableError):
+            record = reader(data)
+            if isinstance(record, (RawImage, EncodedImage)):
+                decode_still(record)
+
+    return [MESSAGES[schema, encoding]], read
+
+
+def _frame(number: int, rows: int = 5):
+    return made_tracks(number, number * 10**7, np.arange(rows), np.random.default_rng(number), lost=1)
+
+
+def _image_files() -> list[bytes]:
+    image = cv2.resize(np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8), (32, 24))
+    suffixes = (".png", ".jpg", ".webp", ".bmp", ".tiff", ".pgm", ".ppm")
+    return [cv2.imencode(suffix, image[:, :, 0] if suffix == ".pgm" else image)[1].tobytes() for suffix in suffixes]
+
+
+def _calibrations() -> list[bytes]:
+    return [getattr(calibrations, name).encode() for name in ("EUROC", "KALIBR", "ROS", "OPENCV", "JSON")]
+
+
+def _weights() -> bytes:
+    """Of a tiny network."""
+    from safetensors.numpy import save
+
+    spec = UNetSpec((1,))
+    metadata = {**spec.to_metadata(), "ranges": '{"head": [0, 1]}'}
+    return save({name: np.zeros(shape, np.float32) for name, shape in spec.shapes().items()}, metadata)
+
+
+def _logs(folder: Path) -> list[bytes]:
+    """Short logs in every compression, with and without chunks and checksums."""
+    found = []
+    for compression in CompressionType:
+        for options in ({"enable_crcs": True}, {"enable_crcs": False}, {"use_chunking": False}):
+            path = write(folder / "sample.mcap", messages(9), compression=compression, chunk_size=300, **options)
+            found.append(path.read_bytes())
+    return found
+
+
+def _read_log(path: Path) -> None:
+    with closing(McapFile(path)) as log:
+        for topic in log.topics:
+            for _ in log.messages(topic):
+                pass
+
+
+def _tracks(folder: Path, name: str, journal: bool = False) -> list[bytes]:
+    kinds = {"t.mcap": McapTrackSink, "t.parquet": ParquetTrackSink, "t.csv": CsvTrackSink}
+    sink = kinds[name](folder / name, overwrite=True)
+    for number in range(4):
+        sink.write(result_of(_frame(number, 3 * (number % 2))))
+    if journal:
+        sink._writer.flush()
+        data = (folder / f"{name}.unfinished").read_bytes()
+    sink.close()
+    return [data if journal else (folder / name).read_bytes()]
+
+
+def _read_tracks(path: Path) -> None:
+    for tracks in read_tracks(path):
+        assert len(tracks.segments_px) == len(tracks)

@@ -1,0 +1,87 @@
+"""The files that the documentation's commands take as given, tiny, made from the built-in clip."""
+
+from __future__ import annotations
+
+import shutil
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from airline.scenes import RenderedClip
+from tests.helpers.camera_logs import EPOCH_NS, Channel, Logged, write_log
+from tests.helpers.camera_messages import cdr
+from tests.helpers.command import command
+from tests.helpers.data_sets import write_annotated, write_labelled, write_posed
+
+SIZE = (160, 120)
+FRAMES = 24
+STEP_NS = 500_000_000  # two per second: the pages skip the first ten seconds
+LATER_NS = 600 * 10**9  # and of the log ten minutes; its second half is that much later
+CAMERA = """camera_model: pinhole
+resolution: [160, 120]
+intrinsics: [115.0, 115.0, 79.5, 59.5]
+distortion_model: radtan
+distortion_coefficients: [-0.2, 0.05, 0.0, 0.0]
+"""
+
+Images = list[np.ndarray]
+
+
+def prepare(folder: Path) -> None:
+    """Fill a folder with everything that the pages name."""
+    images = [view.image for view in RenderedClip(motion="handheld", seed=12, frames=FRAMES, size=SIZE)]
+    _write_folders(folder, images)
+    _write_video(folder / "video.mp4", images)
+    log = _write_log(folder / "log.mcap", images)
+    (folder / "cut.mcap").write_bytes(log.read_bytes()[:-3000])
+    (folder / "cam.yaml").write_text(CAMERA)
+    (folder / "logs" / "deeper").mkdir(parents=True)
+    shutil.copy(log, folder / "logs" / "drive.mcap")
+    shutil.copy(folder / "video.mp4", folder / "logs" / "deeper" / "walk.mp4")
+    write_annotated(folder / "yorkurban")
+    write_labelled(folder / "icl_nuim")
+    write_posed(folder / "kitti_clip")
+    (folder / "docs").mkdir()
+    recorded = command(folder / "images", "--headless", "--save", folder / "demo.rrd")
+    assert recorded.code == 0, recorded.err
+    (folder / "cut.rrd").write_bytes((folder / "demo.rrd").read_bytes()[:-2000])
+
+
+def _write_folders(folder: Path, images: Images) -> None:
+    euroc = folder / "EuRoC" / "MH_01_easy" / "mav0" / "cam0"
+    for made in (folder / "images", folder / "photos", euroc / "data"):
+        made.mkdir(parents=True)
+    rows = ["#timestamp [ns],filename\n"]
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / "images" / f"img{k}.png"), image)
+        stamp = EPOCH_NS + k * STEP_NS
+        cv2.imwrite(str(euroc / "data" / f"{stamp}.png"), image)
+        rows.append(f"{stamp},{stamp}.png\n")
+    (euroc / "data.csv").write_text("".join(rows))
+    cv2.imwrite(str(folder / "photo.jpg"), images[0])
+    for k in (0, 12):  # larger, as photographs that are moved must be
+        cv2.imwrite(str(folder / "photos" / f"{k}.jpg"), cv2.resize(images[k], None, fx=2, fy=2))
+
+
+def _write_video(path: Path, images: Images) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(10**9, STEP_NS))
+        stream.width, stream.height = SIZE
+        stream.pix_fmt = "yuv420p"
+        for image in images:
+            for packet in stream.encode(av.VideoFrame.from_ndarray(image, "bgr24")):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+
+
+def _write_log(path: Path, images: Images) -> Path:
+    messages = []
+    for k, image in enumerate(images):
+        stamp_ns = EPOCH_NS + (k * STEP_NS if k < FRAMES // 2 else LATER_NS + (k - FRAMES // 2) * STEP_NS)
+        data = cv2.imencode(".jpg", image)[1]
+        messages.append(Logged(stamp_ns, cdr("CompressedImage", stamp_ns=stamp_ns, format="jpeg", data=data)))
+    return write_log(path, {"/cam0/image_raw": Channel("sensor_msgs/msg/CompressedImage", "cdr", messages)})

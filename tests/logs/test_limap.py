@@ -1,0 +1,156 @@
+"""The LIMAP folder, read as LIMAP reads it: its text formats and loading order, written down again here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from airline.errors import ConfigError, InputError
+from logs.repair import main
+from logs.sinks.limap import LimapTrackSink
+from tests.helpers.made_tracks import CAMERA, clip_results, made_tracks, result_of
+
+SEGMENTS = "line_detections/lsd/segments"
+
+
+def read_segments(folder):
+    """Segments by image id: every file of the folder, its name from character 9 on, a count and lines of numbers."""
+    found = {}
+    for path in (folder / SEGMENTS).iterdir():
+        lines = path.read_text().splitlines(keepends=True)
+        count = int(lines[0].strip())
+        assert count + 1 == len(lines)
+        found[int(path.name[9:-4])] = np.array([[float(k) for k in line.strip().split(" ")] for line in lines[1:]])
+    return found
+
+
+def read_matches(folder, image, neighbours=20):
+    path = folder / f"line_matchings/lsd/feats_lbd/lbd_n{neighbours}_top0/matches_{image}.npy"
+    assert b"numpy._core" not in path.read_bytes(), "NumPy 1 knows no such module"
+    return np.load(path, allow_pickle=True).item()
+
+
+def read_neighbours(folder):
+    lines = (folder / "metainfos.txt").read_text().splitlines()
+    count = int(lines[0].strip().split(",")[1])
+    ranges = [[float(k) for k in line.strip().split(",")[1:]] for line in lines[1:4]]
+    assert ranges == [[-np.inf, np.inf]] * 3
+    assert len(lines) == 4 + count
+    parts = [line.strip().split(",") for line in lines[4:]]
+    return {int(part[0][6:]): [int(k) for k in part[1:]] for part in parts}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("out") / "limap"
+    sink = LimapTrackSink(folder)
+    for result in clip_results():
+        sink.write(result)
+    sink.close()
+    return folder
+
+
+def test_segments_have_their_origin_at_the_pixels_corner(folder):
+    segments = read_segments(folder)
+    assert segments.keys() == set(range(12))
+    for result in clip_results():
+        tracks = result.tracks
+        np.testing.assert_allclose(segments[tracks.frame_index], tracks.segments_px.reshape(-1, 4) + 0.5, atol=6e-5)
+
+
+def test_matches_are_rows_of_the_same_track(folder):
+    ids = {result.tracks.frame_index: result.tracks.ids for result in clip_results()}
+    neighbours = read_neighbours(folder)
+    for image in ids:
+        matches = read_matches(folder, image)
+        assert (
+            set(matches) == set(neighbours[image]) == {k for k in range(image - 10, image + 11) if k in ids} - {image}
+        )
+        for other, pairs in matches.items():
+            assert pairs.dtype == np.int32
+            assert pairs.shape == (len(np.intersect1d(ids[image], ids[other])), 2)
+            np.testing.assert_array_equal(ids[image][pairs[:, 0]], ids[other][pairs[:, 1]])
+    assert len(read_matches(folder, 5)[6]) > 50
+
+
+def test_matches_are_complete_while_it_runs(tmp_path):
+    rng = np.random.default_rng(0)
+    sink = LimapTrackSink(tmp_path / "limap", neighbours=4)
+    frames = [3, 5, 6, 9, 10, 20]
+    for frame in frames:
+        sink.write(result_of(made_tracks(frame, frame, rng.choice(40, 20, replace=False), rng)))
+        done = [int(line.split(",")[0]) for line in (tmp_path / "limap/images.csv").read_text().splitlines()[1:]]
+        assert done == frames[: len(done)]
+        assert done[-1] == frame
+        for k, image in enumerate(done):
+            before, after = set(done[max(k - 2, 0) : k]), set(done[k + 1 : k + 3])
+            assert set(read_matches(tmp_path / "limap", image, 4)) in (before, before | after)
+    sink.close()
+    assert read_neighbours(tmp_path / "limap") == {
+        3: [5, 6], 5: [3, 6, 9], 6: [3, 5, 9, 10], 9: [5, 6, 10, 20], 10: [6, 9, 20], 20: [9, 10]
+    }  # fmt: skip
+    assert set(read_matches(tmp_path / "limap", 6, 4)) == {3, 5, 9, 10}
+    (tmp_path / "limap/metainfos.txt").unlink()
+    assert main([str(tmp_path / "limap")]) == 0  # python -m logs.repair
+    assert read_neighbours(tmp_path / "limap")[20] == [9, 10]
+
+
+def test_lines_are_undistorted_for_the_camera_in_the_folder(tmp_path):
+    tracks = made_tracks(0, 0, np.arange(30), np.random.default_rng(0))
+    sink = LimapTrackSink(tmp_path / "limap")
+    sink.write(result_of(tracks))
+    sink.close()
+    camera_id, model, *numbers = (tmp_path / "limap/cameras.txt").read_text().split()
+    assert (camera_id, model) == ("1", "PINHOLE")
+    width, height, fx, fy, cx, cy = map(float, numbers)
+    assert (width, height, cx, cy) == (320, 240, CAMERA.cx + 0.5, CAMERA.cy + 0.5)
+    found = read_segments(tmp_path / "limap")[0].reshape(-1, 2)
+    rays = np.column_stack([(found[:, 0] - cx) / fx, (found[:, 1] - cy) / fy, np.ones(len(found))])
+    zero = np.zeros(3)
+    pixels = cv2.projectPoints(rays.reshape(-1, 1, 3), zero, zero, CAMERA.matrix, CAMERA.coefficients)[0]
+    np.testing.assert_allclose(pixels.reshape(-1, 2, 2), tracks.segments_px, atol=1e-3)
+
+
+def test_lines_that_cannot_be_undistorted_are_left_out(tmp_path):
+    camera = replace(CAMERA, distortion="equidistant", coefficients=np.zeros(4))
+    rng = np.random.default_rng(0)
+    stream = [made_tracks(k, k, np.arange(5), rng, camera=camera) for k in range(2)]
+    stream[0].segments_px[2, 1] = 1e5
+    sink = LimapTrackSink(tmp_path / "limap")
+    for tracks in stream:
+        sink.write(result_of(tracks))
+    sink.close()
+    assert len(read_segments(tmp_path / "limap")[0]) == 4
+    assert read_matches(tmp_path / "limap", 0)[1].tolist() == [[0, 0], [1, 1], [2, 3], [3, 4]]
+
+
+def test_files_of_an_earlier_run_go_and_others_stay(tmp_path, folder):
+    rng = np.random.default_rng(0)
+    for frames, overwrite in ((5, False), (2, True)):
+        sink = LimapTrackSink(tmp_path / "limap", overwrite=overwrite)
+        (tmp_path / "limap/notes.txt").write_text("mine")
+        for k in range(frames):
+            sink.write(result_of(made_tracks(k, k, np.arange(3), rng)))
+        sink.close()
+    assert read_segments(tmp_path / "limap").keys() == {0, 1}
+    assert set(read_neighbours(tmp_path / "limap")) == {0, 1}
+    assert (tmp_path / "limap/notes.txt").read_text() == "mine"
+
+
+def test_what_the_layout_cannot_hold(tmp_path):
+    rng = np.random.default_rng(0)
+    with pytest.raises(ConfigError, match="even"):
+        LimapTrackSink(tmp_path / "a", neighbours=3)
+    sink = LimapTrackSink(tmp_path / "limap")
+    sink.write(result_of(made_tracks(4, 0, np.arange(3), rng)))
+    with pytest.raises(InputError, match="camera changes"):
+        sink.write(result_of(made_tracks(5, 1, np.arange(3), rng, camera=replace(CAMERA, fx=3.0))))
+    sink.close()
+    sink = LimapTrackSink(tmp_path / "limap", overwrite=True)
+    sink.write(result_of(made_tracks(4, 0, np.arange(3), rng)))
+    with pytest.raises(InputError, match="frame 4 follows frame 4"):
+        sink.write(result_of(made_tracks(4, 1, np.arange(3), rng)))
+    sink.close()

@@ -1,0 +1,118 @@
+"""The server for Foxglove's viewers, through a viewer's own protocol."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+
+from logs.live.address import open_publisher
+from logs.live.foxglove import FoxgloveServer
+from logs.sinks.foxglove import schema_of
+from logs.tracks.json import decode_tracks
+from tests.helpers.foxglove_client import FoxgloveClient
+from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of
+
+TOPICS = ("/camera/calibration", "/camera/image", "/lines/annotations", "/lines/tracks")
+
+
+@pytest.fixture
+def server() -> Iterator[FoxgloveServer]:
+    found = open_publisher("ws://127.0.0.1:0", "clip", labels=True)
+    assert isinstance(found, FoxgloveServer)
+    with closing(found):
+        yield found
+    found.close()
+
+
+def write_until_seen(server: FoxgloveServer, client: FoxgloveClient, result, messages: int) -> dict[str, tuple]:
+    """Write a frame, again while the subscription is on its way; the messages by topic."""
+    for _ in range(50):
+        server.write(result)
+        time.sleep(0.02)
+    found = {}
+    while len(found) < messages:
+        topic, *rest = client.read_message()
+        found[topic] = rest
+    return found
+
+
+def test_channels_are_those_of_the_file(server: FoxgloveServer) -> None:
+    with closing(FoxgloveClient(server.address)) as client:
+        assert client.info["name"] == "clip"
+        kinds = {topic: (one["schemaName"], one["encoding"]) for topic, one in client.channels.items()}
+        assert kinds == {
+            "/camera/calibration": ("foxglove.CameraCalibration", "protobuf"),
+            "/camera/image": ("foxglove.CompressedImage", "protobuf"),
+            "/lines/annotations": ("foxglove.ImageAnnotations", "protobuf"),
+            "/lines/tracks": ("frontend.LineTracks", "json"),
+        }
+        schema = base64.b64decode(client.channels["/camera/image"]["schema"])
+        assert schema == schema_of(CompressedImage)
+
+
+def test_a_viewer_gets_lines_image_and_camera(server: FoxgloveServer) -> None:
+    result = clip_results()[4]
+    tracks = result.tracks
+    with closing(FoxgloveClient(server.address)) as client:
+        client.subscribe(*TOPICS)
+        found = write_until_seen(server, client, result, len(TOPICS))
+    assert {log_ns for log_ns, _ in found.values()} == {tracks.stamp_ns}
+    contents = {topic: data for topic, (_, data) in found.items()}
+    assert_same(decode_tracks(contents["/lines/tracks"]), tracks)
+    (lines,) = ImageAnnotations.FromString(contents["/lines/annotations"]).points
+    points = np.array([[point.x, point.y] for point in lines.points])
+    np.testing.assert_allclose(points, tracks.segments_px.reshape(-1, 2) + 0.5, atol=1e-4)
+    texts = ImageAnnotations.FromString(contents["/lines/annotations"]).texts
+    assert [text.text for text in texts] == [str(track) for track in tracks.ids[tracks.confirmed]]
+    assert tracks.camera is not None
+    assert CameraCalibration.FromString(contents["/camera/calibration"]).K[0] == tracks.camera.fx
+    data = np.frombuffer(CompressedImage.FromString(contents["/camera/image"]).data, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    assert image.shape == result.frame.image.shape
+    assert np.abs(image.astype(int) - result.frame.image).mean() < 5
+
+
+def test_only_what_is_looked_at_is_sent(server: FoxgloveServer) -> None:
+    with closing(FoxgloveClient(server.address)) as client:
+        client.subscribe("/lines/tracks")
+        for result in clip_results():
+            server.write(result)
+            time.sleep(0.02)
+        assert {client.read_message()[0] for _ in range(3)} == {"/lines/tracks"}
+
+
+def test_frames_without_a_camera_or_before_the_epoch(server: FoxgloveServer) -> None:
+    tracks = made_tracks(0, -5, np.arange(3), np.random.default_rng(0), camera=None)
+    with closing(FoxgloveClient(server.address)) as client:
+        client.subscribe(*TOPICS)
+        found = write_until_seen(server, client, result_of(tracks), len(TOPICS) - 1)
+        assert "/camera/calibration" not in found
+        assert_same(decode_tracks(found["/lines/tracks"][1]), tracks)
+
+
+def test_a_viewer_that_never_reads_or_is_gone_stops_nothing(server: FoxgloveServer) -> None:
+    result = clip_results()[4]
+    noise = np.random.default_rng(0).integers(0, 256, (960, 1280, 3), np.uint8)
+    result = replace(result, frame=replace(result.frame, image=noise))  # a megabyte as JPEG
+    client = FoxgloveClient(server.address)
+    client.subscribe(*TOPICS)
+    gone = FoxgloveClient(server.address)
+    gone.subscribe(*TOPICS)
+    time.sleep(0.2)
+    gone.close()
+    begin = time.monotonic()
+    for _ in range(100):
+        server.write(result)
+    server.close()
+    assert time.monotonic() - begin < 30
+    client.close()

@@ -1,0 +1,137 @@
+"""Messages of the live protocol: whole ones come back exactly, all others are refused in one clear error."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline.errors import InputError
+from frontend.tracks import LineTracks
+from logs.live.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode_end, encode_frame
+from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of, streams
+
+ENVELOPE = {"stream": 17, "sequence": 3, "name": "clip", "sent_ns": 2**62}
+TRACKS = made_tracks(7, 8, np.array([3, 5, 2**40]), np.random.default_rng(0), lost=2, ended=1, reset="a scene cut")
+
+
+def encoded(tracks: LineTracks = TRACKS) -> bytes:
+    return encode_frame(result_of(tracks), **ENVELOPE)
+
+
+def unpacked(**changes: Any) -> dict[str, Any]:
+    """The message as a receiver in another language sees it."""
+    return {**msgspec.msgpack.decode(encoded()), **changes}
+
+
+def with_array(name: str, **changes: Any) -> dict[str, Any]:
+    message = unpacked()
+    message["arrays"][name].update(changes)
+    return message
+
+
+@settings(deadline=None)
+@given(streams())
+def test_tracks_come_back_exactly(stream: list[LineTracks]) -> None:
+    for tracks in stream:
+        message = decode(encoded(tracks))
+        assert (message.stream, message.sequence, message.name, message.sent_ns) == tuple(ENVELOPE.values())
+        assert message.image_size == (320, 240)
+        assert message.tracks is not None
+        assert_same(message.tracks, tracks)
+        message.tracks.segments_px[:] = 0  # it is the receiver's own
+
+
+def test_arrays_are_what_the_page_says() -> None:
+    """By numpy alone, as in the example."""
+    tracks = clip_results()[5].tracks
+    arrays = msgspec.msgpack.decode(encoded(tracks))["arrays"]
+    assert list(arrays) == list(ARRAYS)
+    for name, array in arrays.items():
+        values = np.frombuffer(array["data"], array["dtype"]).reshape(array["shape"])
+        np.testing.assert_array_equal(values, getattr(tracks, name))
+
+
+def test_normalized_segments_are_nan_without_a_camera() -> None:
+    array = unpacked()["arrays"]["segments_normalized"]
+    assert np.isfinite(np.frombuffer(array["data"], array["dtype"])).all()
+    tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=None)
+    message = msgspec.msgpack.decode(encoded(tracks))
+    assert message["camera"] is None
+    array = message["arrays"]["segments_normalized"]
+    assert np.isnan(np.frombuffer(array["data"], array["dtype"]).reshape(4, 2, 2)).all()
+
+
+def test_the_end() -> None:
+    assert decode(encode_end(**ENVELOPE)) == LiveTracks(17, 3, "clip", 2**62)
+
+
+def test_a_name_that_is_no_text_is_sent_readably() -> None:
+    assert decode(encode_end(**{**ENVELOPE, "name": "a\udcffb"})).name == "a?b"
+
+
+@given(st.binary(max_size=100) | st.builds(lambda n: encoded()[:n], st.integers(0, len(encoded()) - 1)))
+def test_what_is_no_message_or_was_cut_is_refused(data: bytes) -> None:
+    with pytest.raises(InputError, match="not a valid message"):
+        decode(data)
+
+
+@settings(max_examples=500)
+@given(st.data())
+def test_a_damaged_message_is_refused_or_read(data: st.DataObject) -> None:
+    message = bytearray(encoded())
+    for place in data.draw(st.lists(st.integers(0, len(message) - 1), min_size=1, max_size=3)):
+        message[place] = data.draw(st.integers(0, 255))
+    with suppress(InputError):
+        assert isinstance(decode(bytes(message)), LiveTracks)
+
+
+@pytest.mark.parametrize(
+    ("message", "complaint"),
+    [
+        (unpacked(version=2, arrays="something new"), "version 2 .* version 1"),
+        (unpacked(type="noise"), "noise"),
+        (unpacked(sequence=-1), "sequence"),
+        (unpacked(stamp_ns=2**63), "stamp_ns"),
+        (unpacked(arrays={}), "'ids' is missing"),
+        (unpacked(camera={"width": 1}), "camera"),
+        (unpacked(camera={**unpacked()["camera"], "fx": 0.0}), "focal lengths"),
+        (unpacked(camera={**unpacked()["camera"], "coefficients": [0.0] * 3}), "coefficients"),
+        (with_array("ids", dtype="<i4"), "'ids': it is <i4"),
+        (with_array("ids", shape=[3, 1]), "'ids': it is <i8"),
+        (with_array("ids", shape=[]), "'ids': it is <i8"),
+        (with_array("ids", data=bytes(8)), "'ids': it has 8 bytes"),
+        (with_array("ids", shape=[2**31 - 1]), "'ids': it has 24 bytes"),
+        (with_array("scores", shape=[4], data=bytes(16)), r"'scores': it is <f4 \[4\], not <f4 \[3\]"),
+        (with_array("segments_px", shape=[3, 4]), "'segments_px': it is"),
+        (with_array("descriptors", shape=[3, 2**31 - 1]), "'descriptors': it has"),
+        (with_array("descriptors", shape=[18]), "'descriptors': it is"),
+        (with_array("states", data=b"\0\1\2"), "unknown state"),
+        (with_array("lost_segments_px", shape=[1, 2, 2], data=bytes(16)), "'lost_segments_px'"),
+        (with_array("ended_ids", shape=[-1]), ">= 0"),
+    ],
+)
+def test_parts_that_do_not_fit_are_named(message: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        decode(msgspec.msgpack.encode(message))
+
+
+def test_fields_of_later_programs_are_passed_over() -> None:
+    message = unpacked(colour="red")
+    message["arrays"]["lengths"] = {"dtype": "<f8", "shape": [3], "data": bytes(24), "unit": "px"}
+    found = decode(msgspec.msgpack.encode(message)).tracks
+    assert found is not None
+    assert_same(found, TRACKS)
+
+
+@pytest.mark.parametrize(
+    "data", [b"\xdd\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\x91" * 100_000, bytes(MAX_BYTES + 1)]
+)
+def test_claims_of_size_and_depth_cost_nothing(data: bytes) -> None:
+    with pytest.raises(InputError, match="not a valid message"):
+        decode(data)

@@ -1,0 +1,294 @@
+"""Tracks over ZeroMQ: every consumer gets what is sent while it is there, and none can hold up the publisher."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from airline.errors import AirLineError, ConfigError, InputError
+from frontend.tracks import LineTracks
+from logs import subscribe_tracks
+from logs.live.address import Address, open_publisher, parse_address
+from logs.live.message import encode_end, encode_frame
+from logs.live.zeromq import ZmqPublisher
+from tests.helpers.made_tracks import CAMERA, assert_all_same, clip_results, made_tracks, result_of
+
+LOCAL = "tcp://127.0.0.1:0"
+
+
+@pytest.fixture(autouse=True)
+def time_to_connect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More of it than a program needs: the tests' machine may be busy."""
+    monkeypatch.setattr("logs.live.zeromq.CONNECT_S", 1.0)
+
+
+def frames(count: int, lines: int = 20) -> list[LineTracks]:
+    rng = np.random.default_rng(0)
+    return [made_tracks(k, 10**9 + k, np.arange(k, k + lines), rng, lost=2, ended=1) for k in range(count)]
+
+
+def publish(publisher: ZmqPublisher, stream: list[LineTracks], pause_s: float = 0.0) -> None:
+    for tracks in stream:
+        publisher.write(result_of(tracks))
+        time.sleep(pause_s)
+
+
+def publisher(address: str = LOCAL) -> ZmqPublisher:
+    found = open_publisher(address, "made")
+    assert isinstance(found, ZmqPublisher)
+    return found
+
+
+@pytest.fixture
+def sender() -> Iterator[tuple[Callable[..., None], str]]:
+    """A publisher of anything: what to send a message with, and its address. It waits for one subscriber."""
+    with zmq.Context() as context, context.socket(zmq.XPUB) as raw:
+        raw.setsockopt(zmq.LINGER, 1000)
+        raw.bind(LOCAL)
+
+        def send(*parts: bytes) -> None:
+            if not sent:
+                assert raw.poll(5000)
+            sent.append(parts)
+            raw.send_multipart(parts)
+
+        sent: list[tuple[bytes, ...]] = []
+        yield send, raw.getsockopt_string(zmq.LAST_ENDPOINT)
+
+
+@pytest.mark.parametrize("kind", ["tcp", "ipc"])
+def test_waiting_consumers_get_every_frame_exactly(kind: str, tmp_path: Path) -> None:
+    """Also one that was there before the publisher."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}" if kind == "tcp" else f"ipc://{tmp_path}/lines"
+    stream = [result.tracks for result in clip_results()]
+    subscriptions = [subscribe_tracks(address) for _ in range(3)]
+    with closing(publisher(address)) as source:
+        publish(source, stream)
+    for subscription in subscriptions:
+        assert subscription.latest is None
+        assert_all_same(list(subscription), stream)
+        assert subscription.lost == 0
+        latest = subscription.latest
+        assert latest is not None
+        assert (latest.sequence, latest.name, latest.tracks) == (len(stream), "made", None)
+        assert list(subscription) == [], "it has closed itself"
+
+
+def test_times_tell_how_old_a_message_is() -> None:
+    (result, *_) = clip_results()
+    with closing(publisher()) as source, subscribe_tracks(source.address) as subscription:
+        source.write(result)
+        before = time.time_ns()
+        next(iter(subscription))
+        message = subscription.latest
+        assert message is not None
+        assert message.read_ns == result.read_ns
+        assert message.read_ns < message.sent_ns <= before <= time.time_ns()
+        assert message.image_size == (320, 240)
+
+
+def test_who_comes_late_gets_what_comes_from_then_on() -> None:
+    stream = frames(60)
+    with closing(publisher()) as source:
+        publish(source, stream[:10])
+        with subscribe_tracks(source.address) as late:
+            thread = threading.Thread(target=publish, args=(source, stream[10:], 0.02))
+            thread.start()
+            found = [next(iter(late)) for _ in range(10)]
+            thread.join()
+    first = found[0].frame_index
+    assert 10 <= first < 50
+    assert_all_same(found, stream[first : first + 10])
+    assert late.lost == 0
+    assert found[0].camera is not None
+    assert found[0].camera.width == CAMERA.width
+
+
+def test_one_that_never_reads_stops_nobody() -> None:
+    stream = frames(3000, lines=200)
+    with zmq.Context() as context, context.socket(zmq.SUB) as stuck:
+        stuck.setsockopt(zmq.RCVHWM, 1)
+        stuck.setsockopt(zmq.LINGER, 0)
+        stuck.subscribe(b"")
+        source = publisher()
+        stuck.connect(source.address)
+        begin = time.monotonic()
+        publish(source, stream)
+        assert time.monotonic() - begin < 60
+        begin = time.monotonic()
+        source.close()
+        assert time.monotonic() - begin < 3
+
+
+def _read(address: str, seen: multiprocessing.Queue[int]) -> None:
+    with subscribe_tracks(address) as subscription:
+        for tracks in subscription:
+            seen.put(tracks.frame_index)
+
+
+def test_one_that_is_killed_harms_nobody() -> None:
+    stream = frames(150)
+    spawn = multiprocessing.get_context("spawn")
+    seen = spawn.Queue()
+    with closing(publisher()) as source, subscribe_tracks(source.address) as other:
+        victim = spawn.Process(target=_read, args=(source.address, seen))
+        victim.start()
+        begin = time.monotonic()
+        while seen.empty():  # it needs time to start
+            assert time.monotonic() - begin < 60
+            publish(source, stream[:1], 0.05)
+        publish(source, stream[1:60], 0.002)
+        assert victim.pid is not None
+        os.kill(victim.pid, signal.SIGKILL)
+        victim.join()
+        publish(source, stream[60:], 0.002)
+        source.close()
+        found = [tracks for tracks in other if tracks.frame_index > 0]
+    assert_all_same(found, stream[1:])
+    assert other.lost == 0
+    seen.close()
+
+
+def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytest.LogCaptureFixture) -> None:
+    send, address = sender
+    (tracks,) = frames(1)
+    with subscribe_tracks(address) as subscription:
+        for number in (4, 5, 8, 9):
+            send(encode_frame(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0))
+        send(encode_end(stream=1, sequence=11, name="", sent_ns=0))
+        assert len(list(subscription)) == 4
+        assert subscription.lost == 3
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+
+
+def test_what_is_no_message_is_an_error_and_the_next_one_can_be_read(sender: tuple[Callable[..., None], str]) -> None:
+    send, address = sender
+    (tracks,) = frames(1)
+    good = encode_frame(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0)
+    with subscribe_tracks(address) as subscription:
+        for parts, complaint in (([b"noise"], "not a valid message"), ([b"lines", good], "several parts")):
+            send(*parts)
+            with pytest.raises(InputError, match=complaint) as caught:
+                next(iter(subscription))
+            assert address in str(caught.value)
+        send(good)
+        assert_all_same([next(iter(subscription))], [tracks])
+
+
+def test_a_publisher_that_begins_anew_is_noticed(sender: tuple[Callable[..., None], str]) -> None:
+    send, address = sender
+    with subscribe_tracks(address) as subscription:
+        for stream, number in ((1, 5), (2, 0), (2, 1), (2, 1)):
+            send(encode_frame(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
+        next(iter(subscription))
+        with pytest.raises(InputError, match="began anew"):
+            next(iter(subscription))
+        next(iter(subscription))
+        with pytest.raises(InputError, match="message 1 behind message 1"):
+            next(iter(subscription))
+
+
+def test_silence_is_an_error_after_a_while() -> None:
+    with closing(publisher()) as source, subscribe_tracks(source.address, timeout_s=0.2) as subscription:
+        begin = time.monotonic()
+        with pytest.raises(InputError, match=r"nothing came from tcp://127\.0\.0\.1:\d+ for 0\.2 s"):
+            next(iter(subscription))
+        assert 0.15 < time.monotonic() - begin < 5
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("tcp://127.0.0.1:5555", Address("tcp", "127.0.0.1", 5555)),
+        ("tcp://:5555", Address("tcp", "127.0.0.1", 5555)),
+        ("tcp://*:5555", Address("tcp", "*", 5555)),
+        ("tcp://[::1]:0", Address("tcp", "::1", 0)),
+        ("ws://robot.local:8765", Address("ws", "robot.local", 8765)),
+        ("ipc:///tmp/lines", Address("ipc", path="/tmp/lines")),
+        ("ipc://@lines", Address("ipc", path="@lines")),
+    ],
+)
+def test_addresses(text: str, address: Address) -> None:
+    assert parse_address(text) == address
+    assert parse_address(str(address)) == address
+
+
+BAD = [
+    "",
+    "5555",
+    "127.0.0.1:5555",
+    "tcp://",
+    "tcp://127.0.0.1",
+    "tcp://h:x",
+    "tcp://h:65536",
+    "tcp://h:1/x",
+    "tcp://[:1",
+]
+
+
+@pytest.mark.parametrize(
+    "text", [*BAD, "tcp://me@h:1", "udp://h:1", "ipc://", "ipc://a\nb", "ipc://\udcff", "wss://h:1"]
+)
+def test_other_texts_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="is no address"):
+        parse_address(text)
+    with pytest.raises(ConfigError, match="is no address"):
+        subscribe_tracks(text)
+
+
+def test_foxglove_is_not_for_subscribers() -> None:
+    with pytest.raises(ConfigError, match="is for Foxglove"):
+        subscribe_tracks("ws://127.0.0.1:8765")
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "ipc", "ws"])
+def test_a_taken_address_is_refused(scheme: str, tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/lines" if scheme == "ipc" else f"{scheme}://127.0.0.1:0"
+    refused = pytest.raises(InputError, match=r"cannot publish at .* use\): choose another")
+    with closing(open_publisher(address, "first")) as first, refused:
+        open_publisher(first.address, "second")
+
+
+@pytest.mark.parametrize(
+    "text", ["tcp://192.0.2.1:5555", "ws://192.0.2.1:5555", "ipc:///no/such/folder/lines", "ipc://" + "x" * 200]
+)
+def test_an_address_of_others_is_refused(text: str) -> None:
+    with pytest.raises(AirLineError, match="cannot publish at"):
+        open_publisher(text, "")
+
+
+def test_a_socket_that_was_left_behind_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
+    left, file = tmp_path / "lines", tmp_path / "notes"
+    with socket.socket(socket.AF_UNIX) as old:
+        old.bind(str(left))
+    assert left.exists()
+    publisher(f"ipc://{left}").close()
+    file.write_text("mine")
+    with pytest.raises(InputError, match="there is a file of this name"):
+        publisher(f"ipc://{file}")
+    assert file.read_text() == "mine"
+
+
+def test_closing_that_was_interrupted_can_be_done_again() -> None:
+    """Interrupted between the context and its sockets, the context knows none of them any more, yet waits for them."""
+    code = "from logs.live.address import parse_address; from logs.live.zeromq import ZmqPublisher; "
+    code += f"publisher = ZmqPublisher(parse_address('{LOCAL}'), 'clip'); publisher._context._sockets.clear(); "
+    code += "publisher.close(); publisher.close(); print('closed')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "closed\n"

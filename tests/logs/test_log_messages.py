@@ -1,0 +1,342 @@
+"""Camera messages of ROS and Foxglove to records: every type and encoding, hostile bytes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import subprocess
+import sys
+import tracemalloc
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import foxglove.messages
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf import CameraCalibration_pb2, CompressedImage_pb2, CompressedVideo_pb2, RawImage_pb2
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from logs.messages.registry import _MODULES, is_calibration_type, is_image_type, reader_for
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
+from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
+
+ROOT = Path(__file__).parents[2]
+PIXELS = bytes(range(24))
+IMAGE = image_fields(PIXELS, 4, 2, "rgb8", 12)
+SEC, NSEC = divmod(STAMP_NS, 10**9)
+IDR = b"\0\0\0\1\x67\x42\0\0\1\x65\x88"
+IDR_H265 = b"\0\0\0\1\x40\1\x0c"
+UNPADDED_P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
+
+IMAGE_DEFINITION = """std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def read(schema: str, encoding: str, data: bytes) -> Record:
+    reader = reader_for(schema, encoding)
+    assert reader is not None
+    record = reader(data)
+    assert reader(memoryview(data)) == record
+    return record
+
+
+def protobuf(message: Any, **fields: Any) -> bytes:
+    filled = message(frame_id=FRAME, **fields)
+    filled.timestamp.seconds, filled.timestamp.nanos = SEC, NSEC
+    return bytes(filled.SerializeToString())
+
+
+def as_json(**fields: Any) -> bytes:
+    fields = {name: base64.b64encode(x).decode() if isinstance(x, bytes) else x for name, x in fields.items()}
+    return json.dumps({"timestamp": {"sec": SEC, "nsec": NSEC}, "frame_id": FRAME, **fields}).encode()
+
+
+def foxglove_cdr(kind: str, definition: str, **fields: Any) -> bytes:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    name = f"foxglove_msgs/msg/{kind}"
+    store.register(get_types_from_msg("builtin_interfaces/Time timestamp\nstring frame_id\n" + definition, name))
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=SEC, nanosec=NSEC)
+    return bytes(store.serialize_cdr(store.types[name](timestamp=stamp, frame_id=FRAME, **fields), name))
+
+
+def array(data: bytes) -> np.ndarray:
+    return np.frombuffer(data, np.uint8)
+
+
+RAW = {"width": 4, "height": 2, "encoding": "rgb8", "step": 12}
+CALIBRATION = {"width": 640, "height": 480, "distortion_model": "plumb_bob"}
+CAPITALS = {"D": D, "K": K, "R": R, "P": P}
+SMALL = {name.lower(): np.array(numbers) for name, numbers in CAPITALS.items()}
+CALIBRATION_DEFINITION = (
+    "uint32 width\nuint32 height\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p"
+)
+RAW_DEFINITION = "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data"
+ENCODED_DEFINITION = "uint8[] data\nstring format"
+
+MESSAGES: dict[tuple[str, str], bytes] = {
+    ("sensor_msgs/msg/Image", "cdr"): cdr("Image", **IMAGE),
+    ("sensor_msgs/Image", "ros1"): ros1("Image", **IMAGE),
+    ("sensor_msgs/msg/CompressedImage", "cdr"): cdr("CompressedImage", format="jpeg", data=array(PIXELS)),
+    ("sensor_msgs/CompressedImage", "ros1"): ros1("CompressedImage", format="jpeg", data=array(PIXELS)),
+    ("sensor_msgs/msg/CameraInfo", "cdr"): cdr("CameraInfo", **info_fields(ROS2)),
+    ("sensor_msgs/CameraInfo", "ros1"): ros1("CameraInfo", **info_fields(ROS1)),
+    ("foxglove.RawImage", "protobuf"): protobuf(RawImage_pb2.RawImage, **RAW, data=PIXELS),
+    ("foxglove.RawImage", "json"): as_json(**RAW, data=PIXELS),
+    ("foxglove_msgs/msg/RawImage", "cdr"): foxglove_cdr("RawImage", RAW_DEFINITION, **RAW, data=array(PIXELS)),
+    ("foxglove.CompressedImage", "protobuf"): protobuf(CompressedImage_pb2.CompressedImage, format="png", data=PIXELS),
+    ("foxglove.CompressedImage", "json"): as_json(format="png", data=PIXELS),
+    ("foxglove_msgs/msg/CompressedImage", "cdr"): foxglove_cdr(
+        "CompressedImage", ENCODED_DEFINITION, format="png", data=array(PIXELS)
+    ),
+    ("foxglove.CompressedVideo", "protobuf"): protobuf(CompressedVideo_pb2.CompressedVideo, format="h265", data=PIXELS),
+    ("foxglove.CompressedVideo", "json"): as_json(format="h265", data=PIXELS),
+    ("foxglove_msgs/msg/CompressedVideo", "cdr"): foxglove_cdr(
+        "CompressedVideo", ENCODED_DEFINITION, format="h265", data=array(PIXELS)
+    ),
+    ("foxglove.CameraCalibration", "protobuf"): protobuf(
+        CameraCalibration_pb2.CameraCalibration, **CALIBRATION, **CAPITALS
+    ),
+    ("foxglove.CameraCalibration", "json"): as_json(**CALIBRATION, **CAPITALS),
+    ("foxglove_msgs/msg/CameraCalibration", "cdr"): foxglove_cdr(
+        "CameraCalibration", CALIBRATION_DEFINITION, **CALIBRATION, **SMALL
+    ),
+}
+
+
+def expected(schema: str) -> Record:
+    kind = schema.replace("/", ".").split(".")[-1]
+    if kind in ("Image", "RawImage"):
+        return RawImage(STAMP_NS, FRAME, 4, 2, "rgb8", 12, False, PIXELS)
+    if kind == "CompressedImage":
+        return EncodedImage(STAMP_NS, FRAME, PIXELS)
+    if kind == "CompressedVideo":
+        return VideoPacket(STAMP_NS, FRAME, "h265", PIXELS)
+    ros_only = ((2, 1), (8, 4, 600, 400)) if kind == "CameraInfo" else ()
+    return CameraInfo(STAMP_NS, FRAME, 640, 480, "plumb_bob", D, K, R, P, *ros_only)
+
+
+@pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
+def test_every_type_reads_back(schema: str, encoding: str) -> None:
+    assert read(schema, encoding, MESSAGES[schema, encoding]) == expected(schema)
+
+
+def test_every_readable_type_is_tested() -> None:
+    tested = {(schema.replace("/msg/", "/"), encoding) for schema, encoding in MESSAGES}
+    assert tested | {(name, "cdr") for name, encoding in tested if encoding == "ros1"} == set(_MODULES)
+    for schema, _ in MESSAGES:
+        assert is_calibration_type(schema) == isinstance(expected(schema), CameraInfo) != is_image_type(schema)
+
+
+def test_other_types() -> None:
+    for schema in ("sensor_msgs/msg/PointCloud2", "std_msgs/msg/String", "", "foxglove.CompressedImages"):
+        assert not is_image_type(schema)
+        assert not is_calibration_type(schema)
+        assert reader_for(schema, "cdr") is None
+    for schema in ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", "foxglove::RawImage", "vendor_msgs/msg/Image"):
+        assert is_image_type(schema)
+        assert reader_for(schema, "cdr") is None
+    assert reader_for("foxglove.RawImage", "flatbuffer") is None
+    assert reader_for("sensor_msgs/msg/Image", "protobuf") is None
+
+
+def test_importing_the_registry_is_light() -> None:
+    heavy = "{'cv2', 'av', 'rosbags', 'google.protobuf', 'msgspec', 'numpy'}"
+    script = f"import logs.messages.registry, sys; print({heavy} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True) == "set()\n"
+
+
+def test_mcap_ros2_writer_agrees() -> None:
+    file = BytesIO()
+    writer = Ros2Writer(file)
+    schema = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE_DEFINITION)
+    header = {"stamp": {"sec": SEC, "nanosec": NSEC}, "frame_id": FRAME}
+    writer.write_message("/camera", schema, {"header": header, **IMAGE, "data": PIXELS})
+    writer.finish()
+    ((_, _, message),) = make_reader(BytesIO(file.getvalue())).iter_messages()
+    assert read("sensor_msgs/msg/Image", "cdr", message.data) == expected("Image")
+
+
+def test_foxglove_sdk_agrees() -> None:
+    timestamp = foxglove.messages.Timestamp(SEC, NSEC)
+    raw = foxglove.messages.RawImage(timestamp=timestamp, frame_id=FRAME, **RAW, data=PIXELS)
+    assert read("foxglove.RawImage", "protobuf", raw.encode()) == expected("RawImage")
+    calibration = foxglove.messages.CameraCalibration(timestamp=timestamp, frame_id=FRAME, **CALIBRATION, **CAPITALS)
+    assert read("foxglove.CameraCalibration", "protobuf", calibration.encode()) == expected("CameraCalibration")
+
+
+def test_big_endian_cdr() -> None:
+    for kind, fields in (("Image", IMAGE), ("CameraInfo", info_fields(ROS2))):
+        assert read(f"sensor_msgs/msg/{kind}", "cdr", cdr(kind, little_endian=False, **fields)) == expected(kind)
+
+
+def test_raw_pixels_are_a_view() -> None:
+    data = bytearray(MESSAGES["sensor_msgs/msg/Image", "cdr"])
+    record = reader_for("sensor_msgs/msg/Image", "cdr")(memoryview(data))  # type: ignore[misc]
+    data[data.find(PIXELS)] = 99
+    assert record.data[0] == 99  # type: ignore[union-attr]
+
+
+def test_fields_of_newer_schemas_are_passed_over() -> None:
+    field_99 = b"\x9a\x06\x03abc"
+    newer = MESSAGES["foxglove.RawImage", "protobuf"] + field_99
+    assert read("foxglove.RawImage", "protobuf", newer) == expected("RawImage")
+    newer = as_json(**RAW, data=PIXELS, is_bigendian=False, extra={"deep": [[1]]})
+    assert read("foxglove.RawImage", "json", newer) == expected("RawImage")
+
+
+def test_calibration_without_rectification() -> None:
+    for data in (
+        protobuf(CameraCalibration_pb2.CameraCalibration, **CALIBRATION, D=D, K=K),
+        as_json(**CALIBRATION, D=D, K=K),
+    ):
+        encoding = "json" if data[:1] == b"{" else "protobuf"
+        info = read("foxglove.CameraCalibration", encoding, data)
+        assert isinstance(info, CameraInfo)
+        assert (info.d, info.k, info.r, info.p) == (D, K, R, UNPADDED_P)
+    with pytest.raises(UndecodableError, match="9, 9 and 12"):
+        read("foxglove.CameraCalibration", "json", as_json(**CALIBRATION, K=K[:8]))
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "found"),
+    [
+        ("h264", PIXELS, "h264"),
+        ("video/HEVC", PIXELS, "h265"),
+        ("H.265", PIXELS, "h265"),
+        ("", IDR, "h264"),
+        ("jpeg", IDR[1:], "h264"),
+        ("", b"\0\0\1\x06\x01\x01", "h264"),  # timing, then a picture
+        ("", b"\0\0\1\x09\xf0", "h264"),
+        ("", IDR_H265, "h265"),
+        ("", b"\0\0\1\x26\x01\xaf", "h265"),
+        ("", b"\0\0\1\x02\x01\xd0", "h265"),
+        ("", b"\0\0\1\x41\x9a\x24", "h264"),
+        ("", b"\0\0\1\x68\xce\x38", "h264"),
+        ("rgb8; jpeg compressed bgr8", b"\xff\xd8\xff\xe0", None),
+        ("", b"\0\0\0\0\0\1\x67\x42", None),
+        ("", b"\0\0\1", None),
+        ("", b"", None),
+    ],
+)
+def test_video_in_compressed_images(text: str, data: bytes, found: str | None) -> None:
+    record = read("sensor_msgs/msg/CompressedImage", "cdr", cdr("CompressedImage", format=text, data=array(data)))
+    if found is None:
+        assert record == EncodedImage(STAMP_NS, FRAME, data)
+    else:
+        assert record == VideoPacket(STAMP_NS, FRAME, found, data)
+
+
+def test_video_formats_of_foxglove() -> None:
+    for name in ("vp9", "av1", "", "x" * 1000):
+        with pytest.raises(UndecodableError) as caught:
+            read("foxglove.CompressedVideo", "json", as_json(format=name, data=IDR))
+        assert caught.value.reason == "video format is not readable"
+        assert len(str(caught.value)) < 100
+
+
+def test_compressed_depth() -> None:
+    def message(text: str, data: bytes) -> bytes:
+        return cdr("CompressedImage", format=text, data=array(data))
+
+    png = b"\x89PNG\r\n\x1a\n..."
+    schema = "sensor_msgs/msg/CompressedImage"
+    depth = read(schema, "cdr", message("16UC1; compressedDepth png", bytes(12) + png))
+    assert depth == EncodedImage(STAMP_NS, FRAME, png)
+    for text, data in (("32FC1; compressedDepth png", bytes(12) + png), ("16UC1; compressedDepth rvl", bytes(40))):
+        with pytest.raises(UndecodableError) as caught:
+            read(schema, "cdr", message(text, data))
+        assert caught.value.reason == "compressed depth is not readable"
+
+
+@pytest.mark.parametrize(("sec", "stamp"), [(0, 5), (-3, -3 * 10**9 + 5), (2**40, 0), (-(2**62), 0), (10**50, 0)])
+def test_odd_stamps(sec: int, stamp: int) -> None:
+    data = json.dumps({"timestamp": {"sec": sec, "nsec": 5}, "data": ""}).encode()
+    assert read("foxglove.CompressedImage", "json", data) == EncodedImage(stamp, "", b"")
+
+
+@pytest.mark.parametrize("number", ["-1", "4294967296", "9" * 5000, "1.5", "1e400", "NaN", "true", '"4"', "null"])
+def test_numbers_out_of_range(number: str) -> None:
+    data = as_json(**CALIBRATION, K=K).replace(b"640", number.encode())
+    with pytest.raises(UndecodableError, match="damaged message"):
+        read("foxglove.CameraCalibration", "json", data)
+
+
+def attempt(schema: str, encoding: str, data: bytes) -> None:
+    """Read, and expect a sound record or an UndecodableError with one of a few reasons."""
+    reader = reader_for(schema, encoding)
+    assert reader is not None
+    try:
+        record = reader(data)
+    except UndecodableError as error:
+        reason = error.reason
+    else:
+        assert -(2**63) < record.stamp_ns < 2**63
+        assert isinstance(record, CameraInfo) or len(record.data) <= len(data)
+        return
+    assert reason in ("damaged message", "compressed depth is not readable", "video format is not readable")
+
+
+@given(content=st.binary(max_size=200))
+@settings(max_examples=60, deadline=None)
+@pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
+def test_arbitrary_bytes(schema: str, encoding: str, content: bytes) -> None:
+    attempt(schema, encoding, content)
+    attempt(schema, encoding, b"\0\1\0\0" + content)
+
+
+@pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
+def test_cut_and_mutated_messages(schema: str, encoding: str) -> None:
+    """Nothing but UndecodableError, and no more memory than a small multiple of the message."""
+    rng = np.random.default_rng(1)
+    whole = MESSAGES[schema, encoding]
+    attempt(schema, encoding, whole)  # the readers' own caches
+    tracemalloc.start()
+    try:
+        for number in range(300):
+            data = bytearray(whole[: rng.integers(len(whole) + 1)] if number % 3 == 0 else whole)
+            for _ in range(rng.integers(1, 5)):
+                if data:
+                    place = rng.integers(len(data))
+                    noise = rng.bytes(int(rng.choice([1, 1, 4])))
+                    data[place : place + len(noise)] = noise if number % 2 else b"\xff" * len(noise)
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            attempt(schema, encoding, bytes(data))
+            assert tracemalloc.get_traced_memory()[1] - before < 30_000 + 20 * len(whole)
+    finally:
+        tracemalloc.stop()
+
+
+def test_deep_json() -> None:
+    deep = b'{"timestamp":' + b"[" * 100_000
+    with pytest.raises(UndecodableError):
+        read("foxglove.RawImage", "json", deep)
+    with pytest.raises(UndecodableError):
+        read("foxglove.RawImage", "json", b'{"other":' + b'{"a":' * 100_000)
+
+
+@given(
+    width=st.integers(-(2**70), 2**70), step=st.integers(), encoding=st.text(max_size=9), data=st.binary(max_size=40)
+)
+@settings(max_examples=100, deadline=None)
+def test_any_json_field(width: int, step: int, encoding: str, data: bytes) -> None:
+    attempt("foxglove.RawImage", "json", as_json(width=width, height=2, encoding=encoding, step=step, data=data))

@@ -1,0 +1,261 @@
+"""Tracks in MCAP: what the standard readers find in the file, and the same tracks read back."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import orjson
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_protobuf.decoder import DecoderFactory
+
+from airline.errors import InputError
+from frontend.colours import track_colours
+from logs.read import read_tracks
+from logs.sinks.mcap_tracks import McapTrackSink
+from logs.tracks.json import decode_tracks, encode_tracks
+from logs.tracks.schema import SCHEMA
+from tests.helpers.made_tracks import (
+    CAMERA,
+    FISHEYE,
+    assert_all_same,
+    assert_same,
+    clip_results,
+    made_tracks,
+    result_of,
+    streams,
+)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mcap") / "tracks.mcap"
+    sink = McapTrackSink(path, with_images=True, labels=True)
+    for result in clip_results():
+        sink.write(result)
+    sink.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def messages(path):
+    """Messages by topic, as mcap's own strict reader and Foxglove's protobuf classes see them."""
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message in reader.iter_messages():
+            assert message.log_time == message.publish_time
+            decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
+            decoded = decoder(message.data) if decoder else json.loads(message.data)
+            found[channel.topic].append((message.log_time, schema.name, decoded))
+    return found
+
+
+def test_topics_and_times(messages):
+    assert {topic: entries[0][1] for topic, entries in messages.items()} == {
+        "/lines/annotations": "foxglove.ImageAnnotations",
+        "/lines/tracks": "frontend.LineTracks",
+        "/camera/calibration": "foxglove.CameraCalibration",
+        "/camera/image": "foxglove.CompressedImage",
+    }
+    stamps = [result.frame.stamp_ns for result in clip_results()]
+    for topic in ("/lines/annotations", "/lines/tracks", "/camera/image"):
+        assert [stamp for stamp, _, _ in messages[topic]] == stamps
+    for topic in ("/lines/annotations", "/camera/image", "/camera/calibration"):
+        for stamp, _, message in messages[topic]:
+            assert message.timestamp.seconds * 10**9 + message.timestamp.nanos == stamp
+    for stamp, _, message in messages["/lines/tracks"]:
+        assert message["timestamp"]["sec"] * 10**9 + message["timestamp"]["nsec"] == stamp
+
+
+def test_annotations_lie_on_the_lines_in_the_colours_of_the_ids(messages):
+    for (_, _, message), result in zip(messages["/lines/annotations"], clip_results(), strict=True):
+        tracks = result.tracks
+        (lines,) = message.points
+        assert lines.type == lines.LINE_LIST
+        assert lines.thickness > 0
+        points = np.array([(p.x, p.y) for p in lines.points]).reshape(-1, 2, 2)
+        np.testing.assert_allclose(points - 0.5, tracks.segments_px, atol=1e-9)
+        colours = np.array([(c.r, c.g, c.b, c.a) for c in lines.outline_colors])
+        expected = track_colours(tracks.ids, tracks.confirmed)
+        np.testing.assert_allclose(colours[:, :3] * 255, expected, atol=1e-6)
+        assert (colours[tracks.confirmed, 3] == 1).all()
+        assert (colours[~tracks.confirmed, 3] < 0.6).all()
+        assert [text.text for text in message.texts] == [str(i) for i in tracks.ids[tracks.confirmed]]
+        middles = tracks.segments_px[tracks.confirmed].mean(1) + 0.5
+        places = np.array([(t.position.x, t.position.y) for t in message.texts]).reshape(-1, 2)
+        np.testing.assert_allclose(places, middles, atol=1e-4)
+    assert len(messages["/lines/annotations"][-1][2].texts) > 20
+
+
+def test_images_and_calibration(messages):
+    for (_, _, message), result in zip(messages["/camera/image"], clip_results(), strict=True):
+        assert message.format == "jpeg"
+        image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert image.shape == result.frame.image.shape
+        assert np.abs(image.astype(int) - result.frame.image).mean() < 4
+    camera = clip_results()[0].frame.camera
+    ((_, _, message),) = messages["/camera/calibration"]
+    assert (message.width, message.height) == (camera.width, camera.height)
+    np.testing.assert_array_equal(np.reshape(message.K, (3, 3)), camera.matrix)
+    np.testing.assert_array_equal(np.reshape(message.P, (3, 4))[:, :3], camera.matrix)
+    assert (message.distortion_model, list(message.D)) == ("plumb_bob", [0.0] * 5)
+
+
+def test_calibration_comes_again_with_time_and_with_another_camera(tmp_path):
+    rng = np.random.default_rng(0)
+    sink = McapTrackSink(tmp_path / "t.mcap")
+    cameras = [CAMERA] * 3 + [FISHEYE] * 2 + [None] + [replace(FISHEYE)] * 2
+    for k, camera in enumerate(cameras):
+        sink.write(result_of(made_tracks(k, k * 400_000_000, np.arange(3), rng, camera=camera)))
+    sink.close()
+    with (tmp_path / "t.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [
+            (message.log_time // 400_000_000, decoded.distortion_model, list(decoded.D))
+            for _, _, message, decoded in reader.iter_decoded_messages(topics=["/camera/calibration"])
+        ]
+    plumb_bob, fisheye = [*CAMERA.coefficients, 0.0], list(FISHEYE.coefficients)
+    assert found == [(0, "plumb_bob", plumb_bob), (3, "kannala_brandt", fisheye), (6, "kannala_brandt", fisheye)]
+
+
+def test_the_file_states_its_conventions(path):
+    with path.open("rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    assert record.name == "airline-frontend"
+    assert "(0, 0)" in record.metadata["pixels"]
+    assert record.metadata["schema version"] == "1"
+    assert record.metadata["topic of tracks"] == "/lines/tracks"
+
+
+def conforms(value, schema, name="") -> None:
+    """A small judge of JSON schemas: types, required and listed properties, bounds, items."""
+    kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float), "null": type(None)}
+    types = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
+    assert any(isinstance(value, kinds[kind]) for kind in types), (name, value)
+    if isinstance(value, dict):
+        assert value.keys() == set(schema["required"]) == schema["properties"].keys(), name
+        for key, item in value.items():
+            conforms(item, schema["properties"][key], key)
+    if isinstance(value, list):
+        assert schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)), name
+        for item in value:
+            conforms(item, schema["items"], name)
+    if isinstance(value, (int, float)):
+        assert schema.get("minimum", value) <= value <= schema.get("maximum", value), name
+    assert value in schema.get("enum", [value]), name
+
+
+def test_the_schema_in_the_file_describes_the_messages(path, messages):
+    with path.open("rb") as file:
+        schemas = {schema.name: schema for schema in make_reader(file).get_summary().schemas.values()}
+    assert schemas["frontend.LineTracks"].encoding == "jsonschema"
+    schema = json.loads(schemas["frontend.LineTracks"].data)
+    assert schema["title"] == "frontend.LineTracks"
+    assert all(field["description"] for field in schema["properties"].values())
+    for _, _, message in messages["/lines/tracks"]:
+        conforms(message, schema)
+
+
+def test_reading_back_gives_what_was_written(path):
+    assert_all_same(list(read_tracks(path)), [result.tracks for result in clip_results()])
+
+
+@settings(max_examples=40, deadline=None)
+@given(streams())
+def test_odd_streams_read_back_the_same(tmp_path_factory, stream):
+    path = tmp_path_factory.mktemp("odd") / "t.mcap"
+    sink = McapTrackSink(path)
+    for tracks in stream:
+        conforms(json.loads(encode_tracks(tracks)), json.loads(json.dumps(SCHEMA)))
+        sink.write(result_of(tracks))
+    sink.close()
+    if stream:
+        assert_all_same(list(read_tracks(path)), stream)
+    else:
+        with pytest.raises(InputError, match="no messages"):
+            list(read_tracks(path))
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_every_float32_survives_json(value):
+    tracks = made_tracks(0, 0, np.arange(1), np.random.default_rng(0))
+    tracks.scores[0] = value
+    assert_same(decode_tracks(encode_tracks(tracks)), tracks)
+
+
+def test_times_before_the_epoch_are_refused(tmp_path):
+    sink = McapTrackSink(tmp_path / "t.mcap")
+    with pytest.raises(InputError, match="before the epoch"):
+        sink.write(result_of(made_tracks(0, -1, np.arange(3), np.random.default_rng(0))))
+    sink.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"ids": [1, 2]}, "different lengths"),
+        ({"ids": [1, 2, 2**63]}, "ids"),
+        ({"ids": [1, 2, "3"]}, "ids"),
+        ({"states": [0, 1, 7]}, "states"),
+        ({"ages": [0, 1, 2**31]}, "ages"),
+        ({"scores": [0, 1, 1e39]}, "scores"),
+        ({"segments_px": [[[0, 0], [0, 0]]] * 2 + [[[0, 0], [0]]]}, "segments_px"),
+        ({"descriptors": [[1], [1], [1, 2]]}, "different lengths"),
+        ({"descriptor_length": 2**40}, "descriptor_length"),
+        ({"lost_ids": [1]}, "different lengths"),
+        ({"timestamp": {"sec": 0, "nsec": 10**9}}, "nsec"),
+        ({"timestamp": {"sec": 9223372036, "nsec": 999999999}}, "out of range"),
+        ({"camera": {"width": 1}}, "camera"),
+        ({"camera": {**json.loads(encode_tracks(clip_results()[0].tracks))["camera"], "fx": -1.0}}, "focal"),
+        ({"reset": 3}, "reset"),
+    ],
+)
+def test_messages_of_others_are_refused_in_one_sentence(tmp_path, change, complaint):
+    fields = json.loads(encode_tracks(made_tracks(0, 0, np.arange(3), np.random.default_rng(0))))
+    path = tmp_path / "t.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(
+            "/t", "json", writer.register_schema("frontend.LineTracks", "jsonschema", b"")
+        )
+        writer.add_message(channel, 5, orjson.dumps({**fields, **change}), 5)
+        writer.finish()
+    with pytest.raises(InputError, match=complaint) as error:
+        list(read_tracks(path))
+    assert "\n" not in str(error.value)
+
+
+@given(st.binary(max_size=200) | st.builds(lambda n: b"[" * n, st.integers(0, 100_000)))
+def test_arbitrary_bytes_are_no_tracks(text):
+    with pytest.raises(InputError):
+        decode_tracks(text)
+
+
+@given(st.data())
+def test_damaged_messages_never_crash(data):
+    text = bytearray(encode_tracks(clip_results()[0].tracks))
+    for _ in range(data.draw(st.integers(1, 4))):
+        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        tracks = decode_tracks(bytes(text))
+    except InputError:
+        return
+    assert len(tracks.segments_px) == len(tracks)
+
+
+def test_other_files_are_refused(tmp_path):
+    for name, text in {"a.mcap": b"no", "b.mcap": b"", "c.txt": b"x"}.items():
+        (tmp_path / name).write_bytes(text)
+        with pytest.raises(InputError, match=name):
+            list(read_tracks(tmp_path / name))
+    with pytest.raises(InputError, match="No such file"):
+        read_tracks(tmp_path / "missing.mcap")

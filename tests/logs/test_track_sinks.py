@@ -1,0 +1,294 @@
+"""Outputs for tracked lines: chosen by name, several at once, never over others, readable after a crash."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airline.errors import ConfigError, InputError
+from frontend.tracks import LineTracks
+from logs.read import read_tracks
+from logs.repair import main
+from logs.sinks.open import check, kind_and_path, open_track_sink
+from logs.sinks.parquet import ParquetTrackSink, finish_journal
+from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks
+
+ROOT = Path(__file__).parents[2]
+ALL = ("all.mcap", "all.parquet", "all.csv", "limap/", "plvins.mcap")
+
+
+def write(spec: str, results, **options) -> None:
+    sink = open_track_sink(spec, **options)
+    for result in results:
+        sink.write(result)
+    sink.close()
+    sink.close()
+
+
+@pytest.mark.parametrize(
+    ("spec", "kind", "path"),
+    [
+        ("a/tracks.mcap", "mcap", "a/tracks.mcap"),
+        ("Tracks.PARQUET", "parquet", "Tracks.PARQUET"),
+        ("t.csv", "csv", "t.csv"),
+        ("a/plvins.mcap", "plvins", "a/plvins.mcap"),
+        ("run_plvins.mcap", "plvins", "run_plvins.mcap"),
+        ("a/limap", "limap", "a/limap"),
+        ("anything/", "limap", "anything"),
+        ("plvins:t.mcap", "plvins", "t.mcap"),
+        ("mcap:plvins.mcap", "mcap", "plvins.mcap"),
+        ("limap:out", "limap", "out"),
+        ("csv:t.txt", "csv", "t.txt"),
+    ],
+)
+def test_a_name_tells_its_kind(spec, kind, path):
+    assert kind_and_path(spec) == (kind, Path(path))
+
+
+@pytest.mark.parametrize("spec", ["tracks", "tracks.txt", "xyz:t.mcap.gz", ""])
+def test_an_unknown_name_lists_the_kinds(spec):
+    with pytest.raises(InputError, match=r"NAME\.parquet.*LIMAP"):
+        check(spec)
+
+
+def test_several_at_once_hold_the_same(tmp_path):
+    results = clip_results()
+    sinks = [open_track_sink(f"{tmp_path}/{name}") for name in ALL]
+    for result in results:
+        for sink in sinks:
+            sink.write(result)
+    for sink in sinks:
+        sink.close()
+    tracks = [result.tracks for result in results]
+    assert_all_same(list(read_tracks(tmp_path / "all.mcap")), tracks)
+    assert_all_same(list(read_tracks(tmp_path / "all.parquet")), tracks)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(name.strip("/") for name in ALL)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_nothing_is_overwritten_unasked(tmp_path, name):
+    spec, results = f"{tmp_path}/{name}", clip_results()
+    write(spec, results)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for refused in (check, open_track_sink):
+        with pytest.raises(InputError, match="--overwrite"):
+            refused(spec)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    check(spec, overwrite=True)
+    write(spec, results[:3], overwrite=True)
+    after = {path for path in tmp_path.rglob("*") if path.is_file()}
+    assert after <= before.keys()
+    if name in ("all.mcap", "all.parquet"):
+        assert len(list(read_tracks(spec))) == 3
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_parent_that_is_no_folder(tmp_path, name):
+    (tmp_path / "file").write_text("")
+    for parent in ("missing", "file"):
+        with pytest.raises(InputError, match="folder"):
+            check(f"{tmp_path}/{parent}/{name}")
+    assert not (tmp_path / "missing").exists()
+
+
+def test_a_leftover_journal_is_named(tmp_path):
+    sink = ParquetTrackSink(tmp_path / "t.parquet")
+    sink.write(clip_results()[0])
+    for refused in (check, open_track_sink):
+        with pytest.raises(InputError, match=r"t\.parquet\.unfinished.*logs\.repair"):
+            refused(f"{tmp_path}/t.parquet")
+    sink.close()
+
+
+WRITER = """
+import sys, time
+from tests.helpers.made_tracks import made_tracks, result_of
+from logs.sinks.open import open_track_sink
+import numpy as np
+sinks = [open_track_sink(spec) for spec in sys.argv[2:]]
+frames = [made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3) for k in range(3000)]
+print("ready", flush=True)
+start = time.monotonic()
+for k, tracks in enumerate(frames):
+    for sink in sinks:
+        sink.write(result_of(tracks))
+    print(k, flush=True)
+    time.sleep(max(0.0, start + k * 0.01 - time.monotonic()))
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A folder of outputs of a process killed in the middle of its work, and for each frame when it was written."""
+    runs = []
+    for wait_s in (1.3, 2.45):
+        folder = tmp_path_factory.mktemp("killed")
+        command = [sys.executable, "-c", WRITER, "-", *(f"{folder}/{name}" for name in ALL)]
+        written = []
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+            assert process.stdout.readline() == "ready\n"
+            start = time.monotonic()
+            while time.monotonic() < start + wait_s:
+                process.stdout.readline()
+                written.append(time.monotonic())
+            process.send_signal(signal.SIGKILL)
+            process.stdout.read()
+        runs.append((folder, written))
+    return runs
+
+
+def frames_due(written: list[float]) -> int:
+    """How many frames were written more than 1.3 s before the end."""
+    return sum(when < written[-1] - 1.3 for when in written)
+
+
+def expected(count: int) -> list[LineTracks]:
+    return [made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3) for k in range(count)]
+
+
+def test_after_a_kill_all_but_the_last_second_is_there(killed, caplog):
+    for folder, written in killed:
+        for name in ("all.mcap", "all.parquet.unfinished"):
+            found = list(read_tracks(folder / name))
+            assert len(found) >= frames_due(written), name
+            assert_all_same(found, expected(len(found)))
+        assert not (folder / "all.parquet").exists()
+        with (folder / "all.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) >= 60 * frames_due(written)
+        assert all(None not in row.values() and row["d5"] for row in rows), "whole lines"
+        images = (folder / "limap/images.csv").read_text().splitlines()[1:]
+        assert len(images) >= frames_due(written)
+        for line in images:
+            image = line.split(",")[0]
+            assert (folder / f"limap/line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
+            assert (folder / f"limap/line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
+    assert frames_due(killed[1][1]) > 50, "the test has something to miss"
+
+
+def test_a_journal_becomes_a_clean_file(killed, tmp_path, capsys):
+    journal = tmp_path / "t.parquet.unfinished"
+    journal.write_bytes((killed[1][0] / "all.parquet.unfinished").read_bytes())
+    before = list(read_tracks(journal))
+    assert main([str(journal)]) == 0  # python -m logs.repair
+    assert capsys.readouterr().out == f"{tmp_path / 't.parquet'}: finished, {60 * len(before)} rows\n"
+    assert_all_same(list(read_tracks(tmp_path / "t.parquet")), before)
+    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
+
+
+def clip_journal(path: Path) -> tuple[bytes, list[int]]:
+    """The journal of the clip with a batch for each frame, and where the header and every batch end."""
+    sink, journal = ParquetTrackSink(path), path.with_name(path.name + ".unfinished")
+    ends = [journal.stat().st_size]
+    for result in clip_results():
+        sink.write(result)
+        sink._writer.flush()
+        ends.append(journal.stat().st_size)
+    whole = journal.read_bytes()
+    sink.close()
+    return whole, ends
+
+
+def test_a_journal_cut_anywhere(tmp_path, caplog):
+    results = clip_results()
+    whole, ends = clip_journal(tmp_path / "t.parquet")
+    cut, out = tmp_path / "c.parquet.unfinished", tmp_path / "c.parquet"
+    sizes = np.random.default_rng(0).integers(ends[1], len(whole), 25).tolist()
+    for size in [*sizes, *ends[2:]]:
+        cut.write_bytes(whole[:size])
+        frames = sum(end <= size for end in ends[1:])
+        caplog.clear()
+        assert_all_same(list(read_tracks(cut)), [result.tracks for result in results[:frames]])
+        assert len(caplog.records) == (size not in ends)
+        assert finish_journal(cut, out, overwrite=True) == sum(len(result.tracks) for result in results[:frames])
+        assert len(list(read_tracks(out))) == frames
+        assert not cut.exists()
+
+
+def test_finishing_never_overwrites(tmp_path):
+    sink = ParquetTrackSink(tmp_path / "t.parquet")
+    sink.write(clip_results()[0])
+    (tmp_path / "t.parquet").write_text("somebody else's")
+    with pytest.raises(InputError, match=r"exists.*t\.parquet\.unfinished"):
+        sink.close()
+    assert (tmp_path / "t.parquet").read_text() == "somebody else's"
+    assert len(list(read_tracks(tmp_path / "t.parquet.unfinished"))) == 1
+
+
+FILLED = """
+import resource, signal, sys
+from airline.errors import InputError
+from tests.helpers.made_tracks import made_tracks, result_of
+from logs.sinks.open import open_track_sink
+from logs.sinks import csv, mcap_output, parquet
+import numpy as np
+for module in (csv, mcap_output, parquet):
+    module.FLUSH_S = 0.0
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+sink = open_track_sink(sys.argv[1])
+try:
+    for k in range(2000):
+        sink.write(result_of(made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3)))
+except InputError as error:
+    print(k, error)
+else:
+    print("no error")
+sink.close()
+"""
+
+
+@pytest.mark.parametrize("name", ["all.mcap", "all.parquet", "all.csv", "plvins.mcap"])
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
+    done = subprocess.run(
+        [sys.executable, "-c", FILLED, f"{tmp_path}/{name}"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    count, message = done.stdout.strip().split(maxsplit=1)
+    assert name in message
+    assert "too large" in message
+    if name in ("all.mcap", "all.parquet"):
+        path = tmp_path / (name if name == "all.mcap" else name + ".unfinished")
+        found = list(read_tracks(path))
+        assert len(found) > int(count) - 3
+        assert_all_same(found, expected(len(found)))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize("kind", ["mcap", "csv", "plvins"])
+def test_a_disk_that_is_full_from_the_start(kind):
+    with pytest.raises(InputError, match=r"/dev/full.*No space left"):
+        write(f"{kind}:/dev/full", clip_results(), overwrite=True)
+
+
+def test_no_room_for_the_parquet_file_leaves_the_journal(tmp_path):
+    journal = tmp_path / "t.parquet.unfinished"
+    journal.write_bytes(clip_journal(tmp_path / "whole.parquet")[0])
+    (tmp_path / "whole.parquet").unlink()
+    code = (
+        "import resource, signal, sys; from logs.sinks.parquet import finish_journal; from pathlib import Path;"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500));"
+        "finish_journal(Path(sys.argv[1]), Path(sys.argv[2]))"
+    )
+    command = [sys.executable, "-c", code, str(journal), str(tmp_path / "t.parquet")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert f"InputError: cannot write '{tmp_path}/t.parquet'" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet.unfinished"]
+
+
+def test_bad_quality():
+    from logs.sinks.mcap_tracks import McapTrackSink
+
+    with pytest.raises(ConfigError, match="1 to 100"):
+        McapTrackSink("never.mcap", jpeg_quality=0)
+    assert not Path("never.mcap").exists()

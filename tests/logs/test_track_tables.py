@@ -1,0 +1,242 @@
+"""Tracks in Parquet and CSV: what a notebook finds, and the same tracks read back."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airline.errors import InputError
+from logs.read import read_tracks
+from logs.sinks.csv import CsvTrackSink
+from logs.sinks.parquet import ParquetTrackSink
+from logs.tracks.table import SCHEMA, TableNotes
+from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of, streams
+
+
+def write(path, stream) -> None:
+    sink = (ParquetTrackSink if path.suffix == ".parquet" else CsvTrackSink)(path)
+    for tracks in stream:
+        sink.write(result_of(tracks))
+    sink.close()
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return [result.tracks for result in clip_results()]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory, clip):
+    path = tmp_path_factory.mktemp("table") / "tracks.parquet"
+    write(path, clip)
+    return path
+
+
+def test_one_row_per_observation(path, clip):
+    table = pq.read_table(path)
+    assert len(table) == sum(map(len, clip))
+    column = {name: table[name].to_numpy() for name in table.column_names if name != "descriptor"}
+    np.testing.assert_array_equal(column["id"], np.concatenate([tracks.ids for tracks in clip]))
+    np.testing.assert_array_equal(column["frame"], np.repeat(np.arange(12), list(map(len, clip))))
+    for name, field in (("", "segments_px"), ("observed_", "observed_px")):
+        points = np.concatenate([getattr(tracks, field) for tracks in clip]).reshape(-1, 4)
+        for k, end in enumerate(("x0", "y0", "x1", "y1")):
+            np.testing.assert_array_equal(column[name + end], points[:, k])
+            assert column[name + end].dtype == np.float32
+    normalized = np.concatenate([tracks.segments_normalized for tracks in clip]).reshape(-1, 4)
+    for k, name in enumerate(("u0", "v0", "u1", "v1")):
+        np.testing.assert_array_equal(column[name], normalized[:, k])
+    descriptors = np.stack(table["descriptor"].to_pylist())
+    np.testing.assert_array_equal(descriptors.astype(np.float32), np.concatenate([t.descriptors for t in clip]))
+
+
+def test_the_file_explains_itself(path):
+    file = pq.ParquetFile(path)
+    assert "(0, 0)" in file.metadata.metadata[b"pixels"].decode()
+    assert file.metadata.metadata[b"schema version"] == b"1"
+    assert json.loads(file.metadata.metadata[b"cameras"])[0]["camera"]["width"] == 320
+    for field in file.schema_arrow:
+        assert field.metadata[b"description"], field.name
+    assert file.schema_arrow.field("x0").metadata[b"unit"] == b"px"
+    assert file.metadata.row_group(0).column(0).compression == "ZSTD"
+
+
+def test_reading_back_gives_what_was_written(path, clip):
+    assert_all_same(list(read_tracks(path)), clip)
+
+
+@settings(max_examples=60, deadline=None)
+@given(streams(), st.integers(1, 5))
+def test_odd_streams_read_back_the_same(tmp_path_factory, stream, every):
+    path = tmp_path_factory.mktemp("odd") / "t.parquet"
+    sink = ParquetTrackSink(path)
+    for k, tracks in enumerate(stream):
+        sink.write(result_of(tracks))
+        if k % every == 0:
+            sink._writer.flush()
+    sink._writer.flush()
+    assert_all_same(list(read_tracks(sink._journal)), stream)
+    sink.close()
+    assert_all_same(list(read_tracks(path)), stream)
+
+
+def test_frames_across_batches_and_row_groups(tmp_path, monkeypatch):
+    monkeypatch.setattr("logs.read._BATCH_ROWS", 7)
+    monkeypatch.setattr("logs.sinks.parquet._GROUP_ROWS", 20)
+    monkeypatch.setattr("logs.sinks.parquet._ROWS_WAITING", 10)
+    rng = np.random.default_rng(1)
+    counts = [0, 3, 30, 0, 0, 1, 8, 7, 7, 0, 5, 0]
+    stream = [made_tracks(5 * k, k, np.arange(n), rng, lost=n % 3, ended=1) for k, n in enumerate(counts)]
+    write(tmp_path / "t.parquet", stream)
+    assert pq.ParquetFile(tmp_path / "t.parquet").num_row_groups > 1
+    assert_all_same(list(read_tracks(tmp_path / "t.parquet")), stream)
+
+
+def test_normalized_points_are_null_without_a_camera_and_nan_out_of_its_reach(tmp_path):
+    rng = np.random.default_rng(0)
+    cameras = [None, FISHEYE, CAMERA, None]
+    stream = [made_tracks(k, k, np.arange(2), rng, camera=camera) for k, camera in enumerate(cameras)]
+    stream[1].segments_px[0, 0] = 1e6
+    write(tmp_path / "t.parquet", stream)
+    u0 = pq.read_table(tmp_path / "t.parquet")["u0"].combine_chunks()
+    assert u0.is_null().to_pylist() == [True, True, False, False, False, False, True, True]
+    assert np.isnan(u0.to_numpy(zero_copy_only=False)[2])
+    write(tmp_path / "t.csv", stream)
+    with (tmp_path / "t.csv").open() as file:
+        values = [row["u0"] for row in csv.DictReader(file)]
+    assert values[:2] == ["", ""]
+    assert values[2] == "nan"
+
+
+def test_csv_holds_the_same_numbers(tmp_path, clip):
+    write(tmp_path / "t.csv", clip)
+    with (tmp_path / "t.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(map(len, clip))
+    for name, field in (("id", "ids"), ("age", "ages"), ("state", "states"), ("fragment_of", "fragment_of")):
+        assert [int(row[name]) for row in rows] == np.concatenate([getattr(t, field) for t in clip]).tolist()
+    points = np.array([[row[name] for name in ("x0", "y0", "x1", "y1")] for row in rows]).astype(np.float32)
+    np.testing.assert_array_equal(points.reshape(-1, 2, 2), np.concatenate([t.segments_px for t in clip]))
+    descriptors = np.array([[row[f"d{k}"] for k in range(6)] for row in rows]).astype(np.float32)
+    np.testing.assert_array_equal(descriptors, np.concatenate([t.descriptors for t in clip]))
+    left_out = {"descriptor", "lost_ids", "lost_segments", "ended_ids", "reset"}
+    assert rows[0].keys() == (set(SCHEMA.names) - left_out) | {f"d{k}" for k in range(6)}
+
+
+def test_csv_without_rows_has_a_header(tmp_path):
+    write(tmp_path / "t.csv", [made_tracks(0, 0, np.arange(0), np.random.default_rng(0))])
+    assert (tmp_path / "t.csv").read_text().count("\n") == 1
+
+
+def test_csv_with_another_descriptor(tmp_path):
+    rng = np.random.default_rng(0)
+    sink = CsvTrackSink(tmp_path / "t.csv")
+    sink.write(result_of(made_tracks(0, 0, np.arange(3), rng)))
+    with pytest.raises(InputError, match="frame 1 has 5"):
+        sink.write(result_of(made_tracks(1, 1, np.arange(3), rng, length=5)))
+    sink.close()
+
+
+def altered(path, out, change) -> None:
+    """Write a Parquet file again with its table and metadata changed."""
+    table = pq.read_table(path)
+    notes = {key: pq.ParquetFile(path).metadata.metadata[key] for key in (b"cameras", b"frames without rows")}
+    table, notes = change(table, notes)
+    with pq.ParquetWriter(out, table.schema) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata(notes)
+
+
+def column(name, values):
+    def change(table, notes):
+        kind = table.schema.field(name).type
+        k = table.column_names.index(name)
+        return table.set_column(k, pa.field(name, kind), pa.array(values(table[name].to_pylist()), kind)), notes
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda table, notes: (table.drop_columns("x1"), notes), "no column 'x1'"),
+        (lambda table, notes: (table.cast(pa.schema([f.with_type(pa.float64()) if f.name == "x0" else f
+                                                     for f in table.schema])), notes), "no column 'x0'"),
+        (lambda table, notes: (table, {}), "notes"),
+        (lambda table, notes: (table, {**notes, b"cameras": b"[{"}), "notes"),
+        (lambda table, notes: (table, {**notes, b"cameras": b'[{"from": 0, "camera": {"width": 0}}]'}), "notes"),
+        (lambda table, notes: (table, {**notes, b"frames without rows": b'[{"place": 0, "tracks": 3}]'}), "notes"),
+        (lambda table, notes: (table.slice(1), notes), "first of a frame"),
+        (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
+        (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
+        (column("lost_ids", lambda values: [v and [*v, 7] if v is None else [*v, 7] for v in values]), "lost tracks"),
+        (column("lost_ids", lambda values: [v if v is None else [None] for v in values]), "missing"),
+        (column("state", lambda values: [9] * len(values)), "unknown state"),
+        (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
+        (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
+        (column("stamp_ns", lambda values: [*values[:-1], 0]), "disagree"),
+        (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
+        (column("descriptor", lambda values: [None, *values[1:]]), "descriptors are missing"),
+    ],
+)  # fmt: skip
+def test_tables_of_others_are_refused_in_one_sentence(path, tmp_path, change, complaint):
+    altered(path, tmp_path / "t.parquet", change)
+    with pytest.raises(InputError, match=complaint) as error:
+        list(read_tracks(tmp_path / "t.parquet"))
+    assert "\n" not in str(error.value)
+
+
+def test_cut_and_foreign_files_are_refused(path, tmp_path):
+    whole = path.read_bytes()
+    for name in ("t.parquet", "t.parquet.unfinished"):
+        for text in (b"", b"PAR1", b"no such thing" * 99, whole[:-1], whole[: len(whole) // 2]):
+            (tmp_path / name).write_bytes(text)
+            with pytest.raises(InputError, match=name):
+                list(read_tracks(tmp_path / name))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_damaged_files_never_crash(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("damaged")
+    for name, whole in damageable(tmp_path_factory).items():
+        text = bytearray(whole)
+        for _ in range(data.draw(st.integers(1, 4))):
+            text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+        (folder / name).write_bytes(text)
+        try:
+            for tracks in read_tracks(folder / name):
+                assert len(tracks.segments_px) == len(tracks)
+        except InputError:
+            continue
+
+
+FILES: dict[str, bytes] = {}
+
+
+def damageable(tmp_path_factory) -> dict[str, bytes]:
+    """A small Parquet file and a small journal."""
+    if not FILES:
+        folder = tmp_path_factory.mktemp("whole")
+        sink = ParquetTrackSink(folder / "t.parquet")
+        for k in range(4):
+            sink.write(result_of(made_tracks(k, k, np.arange(3 * (k % 2)), np.random.default_rng(k), lost=1)))
+            sink._writer.flush()
+        FILES["t.parquet.unfinished"] = (folder / "t.parquet.unfinished").read_bytes()
+        sink.close()
+        FILES["t.parquet"] = (folder / "t.parquet").read_bytes()
+    return FILES
+
+
+def test_notes_of_frames_beyond_the_stream_are_refused():
+    tracks = made_tracks(0, 0, np.arange(2), np.random.default_rng(0))
+    notes = TableNotes(empty={0: tracks})
+    with pytest.raises(InputError, match="has some"):
+        TableNotes().add({key.encode(): value for key, value in notes.to_metadata().items()})

@@ -1,0 +1,79 @@
+"""docs/backends.md: its tables are those of the code, its ROS 2 node makes the messages that PL-VINS's file holds."""
+
+from __future__ import annotations
+
+import re
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from logs.live.message import ARRAYS, encode_frame
+from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
+from tests.helpers.command import ROOT
+from tests.helpers.made_tracks import clip_results
+from tests.logs.test_plvins import read
+
+PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
+
+
+class Message(SimpleNamespace):
+    """Stands in for any message class of ROS 2: they take their fields by name."""
+
+    LINE_LIST, ADD = 5, 0
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the page's node defines, with stand-ins for what it imports from ROS."""
+    (source,) = re.findall(r"```python\n(\"\"\"Tracked lines as ROS 2 messages.*?)```", PAGE, re.DOTALL)
+    for package, names in re.findall(r"from ((?:\w+_\w+\.msg)|rclpy\.\w+) import (.*)", source):
+        module = ModuleType(package)
+        module.__dict__.update(dict.fromkeys(names.split(", "), Message))
+        monkeypatch.setitem(sys.modules, package, module)
+        monkeypatch.setitem(sys.modules, package.split(".")[0], ModuleType(package.split(".")[0]))
+    defined: dict[str, Any] = {"__name__": "lines_node"}
+    exec(compile(source, "lines_node.py", "exec"), defined)
+    return defined
+
+
+def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> None:
+    sink = PlVinsTrackSink(tmp_path / "plvins.mcap")
+    for result in clip_results():
+        sink.write(result)
+    sink.close()
+    lines = PlVinsLines()
+    expected = [cloud for *_, cloud in read(tmp_path / "plvins.mcap")]
+    assert f'"{TOPIC}"' in PAGE
+    assert sum(len(cloud.points) for cloud in expected) > 500
+    for result, cloud in zip(clip_results(), expected, strict=True):
+        found = node["cloud_of"](result.tracks, lines)
+        assert (found.header.stamp.sec, found.header.stamp.nanosec) == (
+            cloud.header.stamp.secs,
+            cloud.header.stamp.nsecs,
+        )
+        assert found.header.frame_id == cloud.header.frame_id
+        assert [(p.x, p.y, p.z) for p in found.points] == [(p.x, p.y, p.z) for p in cloud.points]
+        assert [one.name for one in found.channels] == [one.name for one in cloud.channels]
+        assert [list(one.values) for one in found.channels] == [list(one.values) for one in cloud.channels]
+
+
+def test_the_markers_are_the_confirmed_lines(node: dict[str, Any]) -> None:
+    tracks = clip_results()[6].tracks
+    (marker,) = node["markers_of"](tracks).markers
+    points = np.array([(point.x, point.y, point.z) for point in marker.points], np.float32)
+    assert tracks.segments_normalized is not None
+    np.testing.assert_array_equal(points[:, :2], tracks.segments_normalized[tracks.confirmed].reshape(-1, 2))
+    assert (points[:, 2] == 1).all()
+
+
+def test_the_tables_are_those_of_the_protocol() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `(\S+)` \| ([^|]+) \|", PAGE, re.MULTILINE)
+    documented = {name: (dtype.replace("\\", ""), shape.count(",")) for name, dtype, shape in rows}
+    assert documented == {name: (dtype, len(row)) for name, (dtype, row) in ARRAYS.items()}
+    message = msgspec.msgpack.decode(encode_frame(clip_results()[0], stream=0, sequence=0, name="", sent_ns=0))
+    fields = re.findall(r"^\| `(\w+)` \| (?:int|str|map|\[int)", PAGE, re.MULTILINE)
+    assert sorted(fields) == sorted(message)

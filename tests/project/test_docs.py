@@ -1,0 +1,108 @@
+"""README and docs: every command and code block runs, every link leads somewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.page_inputs import prepare
+from tests.helpers.page_runner import run_command, run_python
+from tests.helpers.pages import PAGES, ROOT, PageError, anchors_of, blocks_of, links_of
+
+LINKING = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "airline" / "weights" / "README.md"]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pages") / "inputs"
+    folder.mkdir()
+    prepare(folder)
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_everything_on_the_page_runs(page: Path, inputs: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(inputs, folder)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path, "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-m", "tests.helpers.page_runner", str(page)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, f"{name_of(page)}:\n{done.stdout}{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_json_is_valid(page: Path) -> None:
+    for block in blocks_of(page.read_text(encoding="utf-8")):
+        if block.language == "json":
+            json.loads(block.text)
+
+
+@pytest.mark.parametrize("page", LINKING, ids=name_of)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in links_of(page.read_text(encoding="utf-8")):
+        if "://" in link:
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        assert target.exists(), f"{name_of(page)} links to {link}"
+        if anchor:
+            assert anchor in anchors_of(target.read_text(encoding="utf-8")), f"{name_of(page)} links to {link}"
+
+
+def test_readme_lists_every_page() -> None:
+    linked = links_of((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert [name_of(page) for page in PAGES[1:] if name_of(page) not in linked] == []
+
+
+def test_markers_change_the_lines_they_name() -> None:
+    page = """<!-- ci: skip `camera` because there is none -->
+<!-- ci: append `--limit 1` to `b` because it is long -->
+```sh
+python -m a         # comment
+python -m b --out x # comment
+python -m c camera
+```
+"""
+    (block,) = blocks_of(page)
+    assert block.commands() == [(4, "python -m a"), (5, "python -m b --out x --limit 1")]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        "<!-- ci: skip -->\n```sh\na\n```\n",
+        "<!-- ci: skip because -->\n```sh\na\n```\n",
+        "<!-- ci: append --limit 1 because it is long -->\n```sh\na\n```\n",
+        "<!-- ci: skip because it is long -->\n\n```sh\na\n```\n",
+        "<!-- ci: skip because it is long -->\n",
+        "```sh\na\n",
+    ],
+)
+def test_markers_without_form_reason_or_block_are_refused(page: str) -> None:
+    with pytest.raises(PageError):
+        blocks_of(page)
+
+
+def test_markers_of_nothing_are_refused() -> None:
+    (block,) = blocks_of("<!-- ci: skip `b` because it is long -->\n```sh\na\n```\n")
+    with pytest.raises(PageError, match="no command contains 'b'"):
+        block.commands()
+
+
+def test_what_fails_is_told() -> None:
+    assert run_command("python -m frontend.run --max-frames none --headless") is not None
+    assert run_command("python -m frontend.run --dump-config") is None
+    assert run_command("exit 3") is not None
+    assert run_python("backend.add_line(1)", {}) is not None
+    assert run_python("1 + 1", {}) is None

@@ -1,0 +1,312 @@
+"""The line odometry of the examples: its mathematics on made worlds, its results on the rendered one."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from airline.scenes import RenderedClip
+from frontend import Frame, LineTracker
+from frontend.sources.scene import frame_of
+from line_odometry.adjust import adjust, costs
+from line_odometry.clips import OURS, TRUE_LINES, built_in, merged
+from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
+from line_odometry.mapping import map_lines
+from line_odometry.odometry import LineOdometry
+from line_odometry.pose import corners, pose_from_lines, poses_of_second
+from line_odometry.score import TrueLines, align, mapped
+from line_odometry.triangulation import triangulate
+from line_odometry.views import View, gather
+from tests.frontend.test_frontend_evaluate import shared
+from tests.helpers.data_sets import write_posed
+from tests.project.test_examples import example
+
+FOCAL = 500.0
+
+
+def made_world(seed: int, lines: int = 60, views: int = 6, noise_px: float = 0.0):
+    """Segments (N, 2, 3) before a camera that moves sideways, its poses (K, 3, 4), and what it sees of them."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform((-2, -1.5, 3), (2, 1.5, 7), (lines, 3))
+    half = rng.normal(size=(lines, 3))
+    half *= rng.uniform(0.2, 0.6, (lines, 1)) / np.linalg.norm(half, axis=1, keepdims=True)
+    segments = np.stack([middle - half, middle + half], axis=1)
+    turns = Rotation.from_rotvec(rng.normal(0, 0.05, (views, 3))).as_matrix()
+    centres = np.outer(np.arange(views), (0.2, 0.05, 0.08)) + rng.normal(0, 0.02, (views, 3))
+    poses = np.concatenate([turns, centres[:, :, None]], axis=2)
+    seen = []
+    for pose in poses:
+        points = (segments - pose[:, 3]) @ pose[:, :3]
+        ends = points[:, :, :2] / points[:, :, 2:] + rng.normal(0, noise_px / FOCAL, (lines, 2, 2))
+        seen.append(View(np.arange(lines), homogeneous(ends)))
+    return segments, poses, seen
+
+
+def as_lines(segments):
+    along = segments[:, 1] - segments[:, 0]
+    return np.stack([segments[:, 0], along / np.linalg.norm(along, axis=1, keepdims=True)], axis=1)
+
+
+def distance_to(lines, segments):
+    """(N, 2) of the end points of segments to lines."""
+    away = segments - lines[:, :1]
+    return np.linalg.norm(away - (away * lines[:, 1:]).sum(axis=2, keepdims=True) * lines[:, 1:], axis=2)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 10_000))
+def test_derivatives_are_those_of_the_distances(seed):
+    segments, poses, seen = made_world(seed, lines=8, views=2)
+    lines, pose, ends = as_lines(segments), np.repeat(poses[1:], 8, axis=0), seen[0].ends
+    _, by_pose, by_line = slopes(ends, lines, pose)
+
+    def off(lines, pose):
+        return distances(ends, image_lines(lines, pose))
+
+    step = 1e-6
+    for k in range(6):
+        change = np.zeros((8, 6))
+        change[:, k] = step
+        numeric = (off(lines, move_poses(pose, change)) - off(lines, move_poses(pose, -change))) / (2 * step)
+        np.testing.assert_allclose(by_pose[:, :, k], numeric, atol=1e-6)
+    for k in range(4):
+        change = np.zeros((8, 4))
+        change[:, k] = step
+        numeric = (off(move_lines(lines, change), pose) - off(move_lines(lines, -change), pose)) / (2 * step)
+        np.testing.assert_allclose(by_line[:, :, k], numeric, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 10_000))
+def test_lines_are_triangulated_where_they_are(seed):
+    segments, poses, seen = made_world(seed)
+    found = triangulate(gather(seen, FOCAL, least=3), poses)
+    known = found.spread < 0.02
+    assert known.mean() > 0.5
+    assert found.ahead[known].all()
+    assert distance_to(found.lines[known], segments[known]).max() < 1e-6
+    ends = np.sort(((segments - found.lines[:, :1]) * found.lines[:, 1:]).sum(axis=2), axis=1)
+    np.testing.assert_allclose(found.reach[known], ends[known], atol=1e-6)
+
+
+def test_what_noise_does_to_a_line_is_what_its_spread_says():
+    ratios = []
+    for seed in range(5):
+        segments, poses, seen = made_world(seed, views=12, noise_px=0.3)
+        found = triangulate(gather(seen, FOCAL, least=3), poses)
+        depth = segments.mean(axis=1)[:, 2]
+        known = found.ahead & (found.spread < 0.02)
+        ratios.append(distance_to(found.lines, segments).max(axis=1)[known] / (found.spread * depth)[known])
+    assert 0.5 < np.median(np.concatenate(ratios)) < 1.5
+    assert np.mean(np.concatenate(ratios) < 3) > 0.95
+
+
+def test_a_line_that_no_view_tells_apart_is_not_known():
+    """A line in the plane of the camera's motion: all its planes are one."""
+    _, poses, _ = made_world(3)
+    poses[:, :, :3] = np.eye(3)
+    poses[:, :, 3] = np.outer(np.arange(6), (0.2, 0, 0))
+    flat = np.array([[[-1.0, 0.5, 4.0], [1.0, 0.5, 4.0]]])
+    views = [View(np.array([0]), homogeneous(((flat - p[:, 3]) @ p[:, :3])[:, :, :2] / 4.0)) for p in poses]
+    assert triangulate(gather(views, FOCAL, least=3), poses).spread[0] > 0.2
+
+
+def test_poses_and_lines_come_back_together():
+    _, poses, seen = made_world(1)
+    observed = gather(seen, FOCAL, least=3)
+    rng = np.random.default_rng(0)
+    change = np.concatenate([rng.normal(0, 0.005, (6, 3)), rng.normal(0, 0.02, (6, 3))], axis=1)
+    free = np.arange(6) >= 2
+    change[~free] = 0
+    start = move_poses(poses, change)
+    first = triangulate(observed, start).lines
+    lines, found = adjust(observed, first, start, free, steps=20)
+    assert costs(observed, lines, found).sum() < 1e-4 * costs(observed, first, start).sum()
+    np.testing.assert_allclose(found, poses, atol=1e-3)
+    assert (found[~free] == poses[~free]).all()
+
+
+def test_a_pose_is_found_among_wrong_lines():
+    segments, poses, seen = made_world(2, lines=80, noise_px=0.2)
+    ends = seen[4].ends.copy()
+    ends[:25] = ends[:25][::-1]  # a third are taken for other lines
+    pose = pose_from_lines(ends, as_lines(segments), FOCAL)
+    np.testing.assert_allclose(pose, poses[4], atol=0.01)
+    assert pose_from_lines(ends[:3], as_lines(segments)[:3], FOCAL) is None
+
+
+def test_corners_are_where_lines_meet_near_their_ends():
+    ends = np.array([[[0, 0], [100, 0]], [[102, 2], [102, 90]], [[50, 5], [50, 90]], [[0, 1], [100, 3]]]) / FOCAL
+    found = corners(View(np.array([7, 3, 5, 9]), homogeneous(ends)), FOCAL)
+    assert set(found) == {(7, 3), (3, 9)}
+    np.testing.assert_allclose(found[7, 3] * FOCAL, (102, 0), atol=1e-9)
+
+
+def views_of_truth(sequence: RenderedClip) -> tuple[list[View], np.ndarray]:
+    views, poses = [], []
+    for index, view in enumerate(sequence):
+        camera = frame_of(index, view).camera
+        views.append(View(view.ids, homogeneous(camera.normalize(view.segments_px))))
+        poses.append(view.pose[:3])
+    return views, np.array(poses)
+
+
+def test_two_views_tell_how_the_camera_moved():
+    sequence = RenderedClip(seed=5, frames=21, size=(320, 240))
+    views, poses = views_of_truth(sequence)
+    focal = sequence.K[0, 0]
+    assert poses_of_second(views[0], views[0], focal) == [], "no motion, no parallax"
+    second, *others = poses_of_second(views[0], views[20], focal)
+    assert others
+    turn = poses[0, :, :3].T @ poses[20, :, :3]
+    direction = poses[0, :, :3].T @ (poses[20, :, 3] - poses[0, :, 3])
+    assert np.rad2deg(np.linalg.norm(Rotation.from_matrix(turn.T @ second[:, :3]).as_rotvec())) < 0.3
+    assert second[:, 3] @ direction / np.linalg.norm(direction) > np.cos(np.deg2rad(2.0))
+
+
+def test_true_lines_give_the_true_path():
+    sequence = RenderedClip(seed=5, frames=60, size=(320, 240))
+    views, poses = views_of_truth(sequence)
+    odometry = LineOdometry(sequence.K[0, 0])
+    for view in views:
+        odometry.add(view)
+    path = align(odometry.trajectory(), poses)
+    assert path.ate_percent < 0.01
+    assert path.rotation_deg < 0.01
+    assert odometry.lost == []
+
+
+def test_lines_tell_which_start_is_right(monkeypatch):
+    """Few corners may agree on a pose that is far from true; the lines of the views in between do not."""
+    sequence = RenderedClip(motion="fast", seed=2, frames=20, size=(320, 240))
+    views, poses = views_of_truth(sequence)
+
+    def misled(first, second, focal):
+        right = poses_of_second(first, second, focal)
+        turn = Rotation.from_euler("y", 15, degrees=True).as_matrix()
+        return [np.column_stack([turn @ pose[:, :3], pose[:, [3]]]) for pose in right[:1]] + right
+
+    monkeypatch.setattr("line_odometry.odometry.poses_of_second", misled)
+    odometry = LineOdometry(sequence.K[0, 0])
+    for view in views:
+        odometry.add(view)
+    assert align(odometry.trajectory(), poses).rotation_deg < 0.01
+
+
+def test_a_view_without_lines_is_bridged():
+    sequence = RenderedClip(seed=5, frames=60, size=(320, 240))
+    views, poses = views_of_truth(sequence)
+    views[50] = View(np.zeros(0, np.int64), np.zeros((0, 2, 3)))
+    odometry = LineOdometry(sequence.K[0, 0])
+    for view in views:
+        odometry.add(view)
+    assert odometry.lost == [50]
+    assert align(odometry.trajectory(), poses).ate_percent < 0.5
+
+
+def test_a_camera_at_rest_has_no_path():
+    sequence = RenderedClip(motion="static", frames=12, size=(320, 240))
+    odometry = LineOdometry(sequence.K[0, 0])
+    for view in views_of_truth(sequence)[0]:
+        odometry.add(view)
+    assert odometry.trajectory().shape == (0, 3, 4)
+
+
+def test_our_lines_give_path_and_map():
+    seen = built_in(60, [OURS, TRUE_LINES])
+    odometry = LineOdometry(seen.focal)
+    for view in seen.views[OURS]:
+        odometry.add(view)
+    path = align(odometry.trajectory(), seen.poses)
+    assert path.ate_percent < 1
+    assert path.rotation_deg < 1
+    length, precision = mapped(map_lines(seen.views[OURS], seen.poses, seen.focal)[1], seen.lines)
+    assert length > 40
+    assert precision > 80
+    best, _ = mapped(map_lines(seen.views[TRUE_LINES], seen.poses, seen.focal)[1], seen.lines)
+    assert best > length
+
+
+def test_a_camera_is_needed():
+    view = RenderedClip(frames=1, size=(320, 240)).render(0)
+    tracks = LineTracker().update(Frame(0, 0, view.image), _no_lines())
+    with pytest.raises(ValueError, match="calibration"):
+        View.of(tracks)
+
+
+def _no_lines():
+    from airline import LineSet
+
+    return LineSet(np.zeros((0, 2, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 6), np.float32))
+
+
+def test_a_similarity_is_no_error():
+    _, poses, _ = made_world(4, views=12)
+    turn = Rotation.from_rotvec((0.3, -0.5, 0.2)).as_matrix()
+    other = np.concatenate([turn @ poses[:, :, :3], (3.0 * poses[:, :, 3] @ turn.T + (1, 2, 3))[:, :, None]], axis=2)
+    path = align(other, poses)
+    assert path.ate_percent < 1e-6
+    assert path.rotation_deg < 1e-4
+    assert path.scale == pytest.approx(1 / 3)
+    np.testing.assert_allclose(path.poses, poses, atol=1e-9)
+    other[6:, :, :3] = other[6:, :, :3] @ Rotation.from_rotvec((0, 0, np.deg2rad(2.0))).as_matrix()
+    assert align(other, poses).rotation_deg == pytest.approx(2.0 * np.sqrt(0.5), rel=1e-3)
+
+
+def test_shares_of_a_map():
+    true = np.array([[[0, 0, 4], [2, 0, 4]], [[0, 1, 4], [2, 1, 4]]], float)
+    half = np.array([[[0, 0.05, 4], [1, 0.05, 4]]])
+    across = np.array([[[1, -0.03, 4], [1, 0.03, 4]]])
+    world = TrueLines(true, true, depth=4.0)
+    assert mapped(true, world) == pytest.approx((100, 100))
+    length, precision = mapped(half, world)
+    assert length == pytest.approx(25, abs=3)
+    assert precision == 100
+    assert mapped(half, world, tolerance=0.01) == (0, 0)
+    assert mapped(across, world) == (0, 0)
+    assert mapped(np.zeros((0, 2, 3)), world) == (0, 0)
+
+
+def test_pieces_of_a_line_count_once():
+    pieces = np.array([[0, 2], [1, 3], [5, 6], [6, 5.5]], float)
+    ends = np.stack([pieces, np.zeros_like(pieces), np.ones_like(pieces)], axis=2)
+    parts = merged(np.array([4, 4, 4, 4]), ends)
+    np.testing.assert_allclose(np.sort(parts[:, :, 0], axis=1), [[0, 3], [5, 6]])
+
+
+def test_the_command_writes_what_it_prints(tmp_path):
+    done = example("10_line_odometry", tmp_path, "--frames", "60", "--baselines", "--json", "figures.json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert len(figures) == 3
+    for row in figures.values():
+        assert {"ate_percent", "rotation_deg", "mapped_length_percent", "mapped_precision_percent"} <= row.keys()
+        error = row["ate_percent"]
+        assert error is None or f"{error:.3f}".rstrip("0").rstrip(".") in done.stdout
+    assert figures[TRUE_LINES]["ate_percent"] < figures[OURS]["ate_percent"] < 1
+
+
+def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
+    write_posed(tmp_path / "clip")
+    done = example("10_line_odometry", tmp_path, "--clip", "clip", "--json", "figures.json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())[OURS]
+    assert figures["ate_percent"] is None
+    assert figures["lost_frames"] > 0
+
+
+def test_a_drive_on_a_street(tmp_path):
+    done = example("10_line_odometry", tmp_path, "--clip", shared("kitti_clip"), "--json", "figures.json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "figures.json").read_text())[OURS]["ate_percent"] < 2
+
+
+def test_a_folder_that_is_no_clip_is_one_line(tmp_path):
+    done = example("10_line_odometry", tmp_path, "--clip", "nowhere")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1

@@ -1,0 +1,247 @@
+"""Two runs side by side: matching lines, in matching colours, and the figures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from airline.errors import InputError
+from frontend.colours import track_colours
+from frontend.protocols import FrameResult
+from frontend.tracks import LineTracks
+from logs.sinks.mcap_tracks import McapTrackSink
+from logs.sinks.parquet import ParquetTrackSink
+from tests.helpers.command import recorded
+from tests.helpers.made_tracks import clip_results
+from tests.helpers.viewer import ROOT, needs_viewer
+from viz.compare import config_of, main
+from viz.matching import FORGET_FRAMES, Partners, TrackLengths, match_lines
+from viz.moments import Moment, joined
+
+SHIFT_PX = 0.5
+
+
+def write(path: Path, results: list[FrameResult], *, with_images: bool = False) -> Path:
+    sink = McapTrackSink(path, with_images=with_images) if path.suffix == ".mcap" else ParquetTrackSink(path)
+    for result in results:
+        sink.write(result)
+    sink.close()
+    return path
+
+
+def moved(tracks: LineTracks) -> LineTracks:
+    """Other ids, half a pixel to the side of each line, without every fifth line."""
+    keep = np.arange(len(tracks)) % 5 != 0
+    across = (tracks.segments_px[:, 1] - tracks.segments_px[:, 0])[:, ::-1] * (-1, 1)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    names = ("observed_px", "covariances", "scores", "descriptors", "states", "ages", "hits", "line_indices")
+    return replace(
+        tracks,
+        ids=tracks.ids[keep] + 1000,
+        segments_px=(tracks.segments_px + SHIFT_PX * across[:, None])[keep].astype(np.float32),
+        fragment_of=np.full(keep.sum(), -1),
+        **{name: getattr(tracks, name)[keep] for name in names},
+    )
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    results = clip_results()
+    write(folder / "a.mcap", results, with_images=True)
+    write(folder / "a.parquet", results)
+    write(folder / "b.parquet", [replace(result, tracks=moved(result.tracks)) for result in results])
+    later = [replace(r, tracks=replace(r.tracks, stamp_ns=r.tracks.stamp_ns + 10**15)) for r in results]
+    write(folder / "later.parquet", later)
+    every_second = [result for result in results if result.frame.index % 2]
+    write(folder / "half.parquet", every_second)
+    return folder
+
+
+def compared(folder: Path, *arguments: object) -> dict[str, dict[str, list]]:
+    assert main([*map(str, arguments), "--save", str(folder / "out.rrd")]) == 0
+    return recorded(folder / "out.rrd")
+
+
+def colours_by_line(columns: dict[str, list], row: int) -> dict[tuple[float, ...], int]:
+    strips = np.array(columns["LineStrips2D:strips"][row], np.float32).reshape(-1, 4)
+    return dict(zip(map(tuple, strips.tolist()), columns["LineStrips2D:colors"][row], strict=True))
+
+
+def test_a_run_and_itself(files, tmp_path, capsys):
+    entities = compared(tmp_path, files / "a.mcap", files / "a.parquet")
+    a, b = entities["/a/tracks"], entities["/b/tracks"]
+    assert a["frame"] == b["frame"] == [result.frame.index for result in clip_results()]
+    for row, result in enumerate(clip_results()):
+        assert a["track_id"][row] == b["track_id"][row] == result.tracks.ids.tolist()
+        assert colours_by_line(a, row) == colours_by_line(b, row)
+    assert all(not strips for side in "ab" for strips in entities[f"/{side}/unmatched"]["LineStrips2D:strips"])
+    assert [values[0] for values in entities["/stats/distance"]["Scalars:scalars"]] == [0.0] * len(clip_results())
+    assert "0.00 px" in capsys.readouterr().out
+    assert len(entities["/camera/image"]["frame"]) == len(clip_results())  # those of the log
+
+
+def test_matching_lines_have_matching_colours(files, tmp_path, capsys):
+    entities = compared(tmp_path, files / "a.parquet", files / "b.parquet")
+    a, b = entities["/a/tracks"], entities["/b/tracks"]
+    same = total = 0
+    for row, result in enumerate(clip_results()):
+        colour_of_a = dict(zip(a["track_id"][row], a["LineStrips2D:colors"][row], strict=True))
+        colour_of_b = dict(zip(b["track_id"][row], b["LineStrips2D:colors"][row], strict=True))
+        matched = set(colour_of_a) & {track - 1000 for track in colour_of_b}
+        same += sum(colour_of_a[track] == colour_of_b[track + 1000] for track in matched)
+        total += len(colour_of_b)
+        rgb = np.array(list(colour_of_a.values()), np.uint32) >> 8
+        ids = np.array(list(colour_of_a), np.int64)
+        expected = track_colours(ids, result.tracks.confirmed[np.isin(result.tracks.ids, ids)]).astype(np.uint32)
+        np.testing.assert_array_equal(rgb, expected @ np.array([65536, 256, 1], np.uint32))
+        unmatched = entities["/b/unmatched"]["track_id"][row]
+        assert sorted([*colour_of_b, *unmatched]) == moved(result.tracks).ids.tolist()
+    assert same > 0.95 * total
+    out = capsys.readouterr().out
+    assert f"{len(clip_results())} frames" in out
+    shares = {share[0] for share in entities["/stats/matched_share/b"]["Scalars:scalars"] if share}
+    assert min(shares) > 95
+    shares = {share[0] for share in entities["/stats/matched_share/a"]["Scalars:scalars"] if share}
+    assert 70 < min(shares) <= max(shares) < 85
+    distances = [values[0] for values in entities["/stats/distance"]["Scalars:scalars"]]
+    np.testing.assert_allclose(distances, SHIFT_PX, atol=0.02)
+    assert entities["/camera/image"].get("frame") is None  # no images: a dark background that stands for all frames
+
+
+def test_frames_are_matched_by_their_stamps(files, tmp_path):
+    entities = compared(tmp_path, files / "a.parquet", files / "half.parquet")
+    assert entities["/a/tracks"]["frame"] == [k for k in range(len(clip_results())) if k % 2]
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from viz.film import write_film
+
+    path = tmp_path_factory.mktemp("video") / "clip.mp4"
+    write_film(path, [result.frame.image for result in clip_results()[:6]], 30)
+    return path
+
+
+def test_two_presets_on_a_video(video, tmp_path, capsys):
+    entities = compared(tmp_path, "default", "fast", video, "--max-frames", 4)
+    for path in ("/a/tracks", "/b/tracks", "/a/unmatched", "/b/unmatched", "/camera/image", "/stats/lines/matched"):
+        assert [frame for frame in entities[path]["frame"] if frame is not None] == [0, 1, 2, 3]
+    out = capsys.readouterr().out
+    assert "A: default" in out
+    assert "B: fast" in out
+    assert entities["/a/tracks"]["track_id"] != entities["/b/tracks"]["track_id"]
+
+
+def test_settings_against_the_tracks_of_an_earlier_run(video, tmp_path):
+    from frontend.run import main as run
+
+    assert run([str(video), "--out", str(tmp_path / "earlier.parquet")]) == 0
+    (tmp_path / "same.toml").write_text('preset = "default"\n')
+    for sides in ((tmp_path / "same.toml", tmp_path / "earlier.parquet"), (tmp_path / "earlier.parquet", "default")):
+        entities = compared(tmp_path, *sides, video)
+        a, b = entities["/a/tracks"], entities["/b/tracks"]
+        assert len(a["frame"]) == 6
+        for row in range(6):
+            assert colours_by_line(a, row) == colours_by_line(b, row)
+            assert not entities["/a/unmatched"]["track_id"][row]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["a.parquet", "later.parquet"], "have no frame in common (they begin at 0.000 s and 1000000.000 s)"),
+        (["a.parquet", "none.parquet"], "there is no such file"),
+        (["a.parquet", "quick"], "cannot compare 'quick'"),
+        (["default", "none.safetensors"], "none.safetensors"),
+        (["a.parquet", "default", "none.mp4"], "none.mp4"),
+        (["a.parquet", "a.mcap", "--save", "out.txt"], "ends with .rrd"),
+    ],
+)
+def test_errors_are_one_sentence_and_leave_no_file(files, tmp_path, arguments, sentence):
+    given = [str(files / part) if "." in part and not part.startswith(("-", "out")) else part for part in arguments]
+    save = [] if "--save" in arguments else ["--save", str(tmp_path / "out.rrd")]
+    command = [sys.executable, "-m", "viz.compare", *given, *save]
+    outcome = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert outcome.returncode == 2
+    assert outcome.stderr.startswith("error: ")
+    assert sentence in outcome.stderr
+    assert not (tmp_path / "out.rrd").exists()
+
+
+def test_times_that_go_back_are_refused():
+    def stream(*stamps: int):
+        return (Moment(stamp, ()) for stamp in stamps)
+
+    assert [m[0].stamp_ns for m in joined([stream(1, 2, 4, 6), stream(0, 2, 3, 6, 7)], ("a", "b"))] == [2, 6]
+    with pytest.raises(InputError, match="in the order of their times"):
+        list(joined([stream(1, 2, 2), stream(1, 2, 3)], ("a", "b")))
+    with pytest.raises(InputError, match="has no frame"):
+        list(joined([stream(), stream(1)], ("a", "b")))
+
+
+def test_lines_are_matched_one_to_one():
+    first = np.array([[[10, 10], [90, 10]], [[10, 12], [90, 12]], [[10, 50], [90, 50]], [[5, 5], [5, 5]]], np.float32)
+    second = np.array([[[90, 12.5], [10, 12.5]], [[50, 5], [50, 95]], [[12, 10], [80, 10.5]]], np.float32)
+    rows, columns, distances = match_lines(first, second)
+    assert dict(zip(rows.tolist(), columns.tolist(), strict=True)) == {0: 2, 1: 0}
+    assert distances[1] == pytest.approx(0.5)
+    assert all(len(part) == 0 for part in match_lines(first[:0], second))
+    assert all(len(part) == 0 for part in match_lines(first * np.float32(np.nan), second))
+
+
+def test_partners_are_steady_and_follow_a_new_id():
+    partners = Partners()
+
+    def seen(other: int) -> int:
+        return int(partners.update(np.array([7]), np.array([other]))[0])
+
+    assert [seen(1) for _ in range(5)] == [1] * 5
+    assert seen(2) == 1  # a single mismatch
+    assert [seen(1) for _ in range(20)] == [1] * 20
+    followed = [seen(3) for _ in range(10)]  # track 1 is lost and comes back as 3
+    assert followed[0] == 1
+    assert followed[-1] == 3
+    assert followed == sorted(followed)
+
+
+def test_memory_is_for_live_tracks_alone():
+    partners, lengths = Partners(), TrackLengths()
+    for frame in range(5 * FORGET_FRAMES):
+        ids = np.array([frame, frame + 1])
+        partners.update(ids, ids)
+        lengths.add(ids)
+    assert len(partners._matches) < 3 * FORGET_FRAMES
+    assert len(lengths._live) < 3 * FORGET_FRAMES
+    found = lengths.lengths()
+    assert (len(found), found.sum()) == (5 * FORGET_FRAMES + 1, 10 * FORGET_FRAMES)
+
+
+def test_what_a_run_is_given_by():
+    assert config_of("fast").detector.edges.weights == "fast"
+    assert config_of("mine.safetensors").detector.edges.weights == "mine.safetensors"
+
+
+@needs_viewer
+def test_viewer_shows_both_runs(files, tmp_path):
+    from viz.snapshot import save_picture
+
+    compared(tmp_path, files / "a.mcap", files / "b.parquet")
+    assert save_picture(tmp_path / "out.rrd", tmp_path / "picture.png", frame=8, size=(1280, 800)) == []
+    shown = cv2.imread(str(tmp_path / "picture.png")).astype(int)
+    left, right = shown[:, :640], shown[:, 640:]
+    tracks = clip_results()[8].tracks
+    lengths = np.linalg.norm(tracks.segments_px[:, 1] - tracks.segments_px[:, 0], axis=1)
+    rows = np.flatnonzero(tracks.confirmed & (lengths > 60) & (np.arange(len(tracks)) % 5 != 0))
+    assert len(rows) > 5
+    both = [
+        all((np.abs(side - colour).max(axis=2) < 12).sum() > 30 for side in (left, right))
+        for colour in track_colours(tracks.ids[rows])[:, ::-1]
+    ]
+    assert np.mean(both) > 0.8

@@ -1,0 +1,314 @@
+"""What goes into a recording, by its settings: images, layout, how often, states of tracks, space, the log."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from airline.errors import ConfigError, InputError
+from frontend.protocols import FrameResult
+from tests.helpers.command import command, recorded
+from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
+from viz.rerun_sink import RerunSink
+
+FRAMES = 10
+STAGES = {f"/camera/{name}" for name in ("edges", "orientation", "regions", "segments")}
+
+
+def record(path: Path, results: Iterator[FrameResult] | None = None, **options: Any) -> dict[str, dict[str, list[Any]]]:
+    sink = RerunSink(save=path, **options)
+    for result in results or frame_results(FRAMES):
+        sink.write(result)
+    sink.close()
+    return recorded(path)
+
+
+def names_of_views(path: Path) -> set[str]:
+    from rerun.chunk import RrdReader
+
+    column = "ViewBlueprint:display_name"
+    return {
+        name
+        for blueprint in RrdReader(path).blueprints()
+        for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
+        if column in (batch := chunk.to_record_batch()).schema.names
+        for row in batch.column(column).to_pylist()
+        for name in row
+    }
+
+
+def write_video(path: Path, codec: str = "libx264", size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
+    """The moving rectangle as a video, 30 frames/s."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        for result in frame_results(FRAMES):
+            image = cv2.resize(result.frame.image, size)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_raw_images_come_back_as_they_were(tmp_path):
+    rows = record(tmp_path / "run.rrd", image="raw")
+    for k, result in enumerate(frame_results(FRAMES)):
+        pixels = np.array(rows["/camera/image"]["Image:buffer"][k][0], np.uint8)
+        np.testing.assert_array_equal(pixels.reshape(HEIGHT, WIDTH, 3), result.frame.image)
+
+
+def test_without_images_everything_else_is_there(tmp_path):
+    rows = record(tmp_path / "run.rrd", image="none")
+    assert "/camera/image" not in rows
+    assert rows.keys() > STAGES | {"/camera/tracks", "/camera/tails"}
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "clip.mkv"])
+def test_video_is_logged_once_and_referred_to_by_time(tmp_path, name):
+    rows = record(tmp_path / "run.rrd", image="video", video=write_video(tmp_path / name))
+    images = rows["/camera/image"]
+    (blob,) = (row for row in images["AssetVideo:blob"] if row)
+    times = [row[0] for row in images["VideoFrameReference:timestamp"]]
+    assert len(blob[0]) > 1000
+    assert times == sorted(set(times))
+    np.testing.assert_allclose(np.array(times) - times[0], STEP_NS * np.arange(FRAMES), atol=1_000_000)
+    assert not rows.keys() & STAGES
+    assert rows["/camera/tracks"]["frame"] == list(range(FRAMES))
+
+
+def test_video_with_a_header_that_rerun_cannot_read_is_mended(tmp_path):
+    """Some cameras' files hold more than the sequence parameters where those should be."""
+    import rerun as rr
+
+    odd = tmp_path / "odd.mp4"
+    with av.open(str(write_video(tmp_path / "clip.mp4"))) as source, av.open(str(odd), "w") as target:
+        read = source.streams.video[0]
+        written = target.add_stream_from_template(read)
+        header = bytes(read.codec_context.extradata)
+        length = int.from_bytes(header[6:8], "big")
+        longer = (length + 40).to_bytes(2, "big") + header[8 : 8 + length] + bytes([0x65] * 40)
+        written.codec_context.extradata = header[:6] + longer + header[8 + length :]
+        for packet in source.demux(read):
+            if packet.dts is not None:
+                packet.stream = written
+                target.mux(packet)
+    with pytest.raises(RuntimeError):
+        rr.AssetVideo(path=odd).read_frame_timestamps_nanos()
+    rows = record(tmp_path / "run.rrd", image="video", video=odd)
+    assert len({row[0] for row in rows["/camera/image"]["VideoFrameReference:timestamp"] if row}) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ("missing.mp4", "needs a video file"),
+        ("text.mp4", "no video that Rerun can play"),
+        ("old.avi", "mpeg4"),
+    ],
+)
+def test_videos_that_cannot_be_shown_are_refused(tmp_path, spec, says):
+    if spec == "text.mp4":
+        (tmp_path / spec).write_text("no video")
+    if spec == "old.avi":
+        write_video(tmp_path / spec, "mpeg4")
+    with pytest.raises(ConfigError, match=says) as refusal:
+        RerunSink(save=tmp_path / "run.rrd", image="video", video=tmp_path / spec)
+    assert "use --log-image jpeg" in str(refusal.value)
+
+
+def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
+    sink = RerunSink(
+        save=tmp_path / "run.rrd", image="video", video=write_video(tmp_path / "clip.mp4", size=(160, 120))
+    )
+
+    def show() -> None:
+        sink.write(next(frame_results(1)))
+        sink.close()
+
+    with pytest.raises(ConfigError, match="another size"):  # as soon as the thread behind `write` has told
+        show()
+    sink.close()
+
+
+@pytest.mark.parametrize("flags", [["--resize", "160"], ["--undistort"]])
+def test_video_and_changed_frames_exclude_each_other(tmp_path, flags):
+    path = write_video(tmp_path / "clip.mp4")
+    outcome = command(path, "--log-image", "video", "--save", tmp_path / "run.rrd", *flags)
+    assert outcome.code == 2
+    assert "leave --resize and --undistort out" in outcome.err
+    assert not (tmp_path / "run.rrd").exists()
+
+
+def test_every_third_frame(tmp_path):
+    rows = record(tmp_path / "run.rrd", every=3, descriptor_every=2)
+    for path in ("/camera/image", "/camera/tracks", "/stats/counts/lines", *STAGES):
+        assert rows[path]["frame"] == [0, 3, 6, 9]
+    assert rows["/camera/descriptor"]["frame"] == [0, 6]
+    assert rows["/log"]["frame"] == [RESET_FRAME]
+
+
+def test_resets_of_frames_that_are_not_recorded_are(tmp_path):
+    rows = record(tmp_path / "run.rrd", every=4)
+    assert rows["/camera/tracks"]["frame"] == [0, 4, 8]
+    assert rows["/log"]["frame"] == [RESET_FRAME]
+
+
+def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
+    """Ids 0 and 1 are confirmed, 2 and 3 tentative, 1 and 3 pieces of another line; 7 is lost."""
+    result = list(frame_results(5))[-1]
+    tracks = dataclasses.replace(
+        result.tracks,
+        fragment_of=np.array([-1, 0, -1, 0]),
+        lost_ids=np.array([7]),
+        lost_segments_px=rectangle(9)[:1],
+    )
+    rows = record(tmp_path / "run.rrd", iter([dataclasses.replace(result, tracks=tracks)]))
+    seen, lost = rows["/camera/tracks"], rows["/camera/tracks/lost"]
+    whole, piece, young, young_piece = (
+        np.array(c) for c in np.array(seen["LineStrips2D:colors"][0], ">u4").view("u1").reshape(4, 4)[:, :3].astype(int)
+    )
+    radii = np.abs(seen["LineStrips2D:radii"][0])
+    assert radii[0] == radii[1] > radii[2] == radii[3] > np.abs(lost["LineStrips2D:radii"][0][0])
+    assert whole.max() == young.max() == 255
+    assert piece.max() < 160
+    assert young_piece.max() < 160
+    assert young.min() > whole.min() + 50, "tentative lines are paler"
+    (grey,) = np.array(lost["LineStrips2D:colors"][0], ">u4").view("u1").reshape(1, 4)[:, :3].astype(int)
+    assert np.ptp(grey) < 60
+    assert lost["track_id"] == [[7]]
+    np.testing.assert_array_equal(np.float32(lost["LineStrips2D:strips"][0]), rectangle(9)[:1] + np.float32(0.5))
+    assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[1.0]]
+
+
+def test_tails_end_at_the_lines_and_lead_where_they_were(tmp_path):
+    tails = record(tmp_path / "run.rrd")["/camera/tails"]["LineStrips2D:strips"]
+    assert [len(row) for row in tails] == [0, 0] + [2] * (FRAMES - 2)  # two lines are confirmed from the third frame on
+    middles = np.array([rectangle(k).mean(axis=1) + 0.5 for k in range(FRAMES)])
+    for k in range(2, FRAMES):
+        for line in (0, 1):
+            np.testing.assert_allclose(tails[k][line][-1], middles[k, line], atol=1e-4)
+            np.testing.assert_allclose(tails[k][line][0], middles[0, line], atol=1e-4)
+
+
+def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
+    from frontend.colours import CYCLE, hsv_to_rgb, track_colours
+
+    rows = record(tmp_path / "run.rrd")["/camera/regions"]
+    (context,) = (row for row in rows["AnnotationContext:context"] if row)
+    colours = {entry["class_id"]: entry["class_description"]["info"]["color"] for entry in context[0]}
+    ids = np.array([0, 1, 77, CYCLE - 1])
+    for track, (red, green, blue) in zip(ids.tolist(), track_colours(ids).tolist(), strict=True):
+        assert colours[1 + track] == red << 24 | green << 16 | blue << 8 | 255
+    np.testing.assert_array_equal(track_colours(ids + CYCLE), track_colours(ids))
+    seam = np.arange(CYCLE - 5, CYCLE + 5)
+    hues, saturations = seam * (np.sqrt(5) - 1) / 2 % 1, np.repeat([0.8, 0.9], 5)
+    unbroken = hsv_to_rgb(hues, saturations, np.ones(10)).astype(int)
+    assert np.abs(track_colours(seam) - unbroken).max() <= 2, "they come round without a visible seam"
+
+
+def test_layouts(tmp_path):
+    record(tmp_path / "small.rrd", blueprint="minimal")
+    assert names_of_views(tmp_path / "small.rrd") == {"Tracks", "Lines per frame", "Log"}
+    record(tmp_path / "video.rrd", image="video", video=write_video(tmp_path / "clip.mp4"))
+    assert names_of_views(tmp_path / "video.rrd") == {
+        *("Tracks", "Lines per frame", "Track length (frames)", "Time per stage (ms)", "Log")
+    }
+
+
+def test_poses_and_lines_in_space(tmp_path):
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    poses = []
+    for k, result in enumerate(frame_results(4)):
+        sink.write(result)
+        poses.append(np.eye(4))
+        poses[-1][:3, 3] = [k, 0, 2 * k]
+        sink.log_pose(poses[-1])
+        sink.log_lines_3d(np.full((4, 2, 3), k, np.float32), result.tracks.ids)
+    sink.close()
+    rows = recorded(tmp_path / "run.rrd")
+    assert [row[0] for row in rows["/camera"]["Transform3D:translation"] if row] == [[k, 0, 2 * k] for k in range(4)]
+    assert rows["/world/lines"]["frame"] == [0, 1, 2, 3]
+    assert rows["/world/lines"]["track_id"] == [[0, 1, 2, 3]] * 4
+    assert rows["/world/lines"]["sensor_time"] == [k * STEP_NS for k in range(4)]
+    assert rows["/world/path"]["LineStrips3D:strips"][3] == [[[2, 0, 4], [3, 0, 6]]]
+    assert "Space" in names_of_views(tmp_path / "run.rrd")
+
+
+def test_things_that_are_not_in_space_are_refused(tmp_path):
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    for pose in (np.eye(3), 2 * np.eye(4), np.full((4, 4), np.nan)):
+        with pytest.raises(InputError, match="pose must be"):
+            sink.log_pose(pose)
+    with pytest.raises(InputError, match="lines in space"):
+        sink.log_lines_3d(np.zeros((2, 2, 2)), np.arange(2))
+    sink.close()
+
+
+def test_warnings_of_our_packages_are_in_the_log_at_their_frame(tmp_path):
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    logging.getLogger("frontend.sources").warning("before the first frame")
+    for result in frame_results(3):
+        sink.write(result)
+        logging.getLogger("logs.source").info("not worth it")
+        logging.getLogger("somebody.else").warning("not ours")
+        if result.frame.index == 1:
+            logging.getLogger("frontend.sources.video").error("frame %d is damaged", 1)
+    sink.close()
+    logging.getLogger("frontend").warning("after the end")
+    log = recorded(tmp_path / "run.rrd")["/log"]
+    assert log["TextLog:text"] == [["before the first frame"], ["frame 1 is damaged"]]
+    assert log["TextLog:level"] == [["WARN"], ["ERROR"]]
+    assert log["frame"] == [0, 1]
+
+
+def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr("viz.destination.SPARE", 2**60)
+    sink = RerunSink(save=tmp_path / "run.rrd")
+    first, second = frame_results(2)
+    sink.write(first)
+    time.sleep(1.5)  # the disk is looked at every second
+    with pytest.raises(InputError, match=r"cannot write more of the recording .*MB are free: is the disk full"):
+        sink.write(second)
+    with pytest.raises(InputError, match="is the disk full"):
+        sink.close()
+    assert recorded(tmp_path / "run.rrd")["/camera/tracks"]["frame"][0] == first.frame.index
+
+
+def test_recordings_of_the_clip_keep_to_their_size(tmp_path):
+    """150 kB per frame of 640x480, 20 with a video: over few frames, in which what comes once weighs most."""
+    from viz.bench import measure, results_of_clip, write_video
+
+    results = results_of_clip(20)
+    video = tmp_path / "clip.mp4"
+    write_video(results, video)
+    for mode, limit in (("jpeg", 150), ("video", 20)):
+        cost = measure(results, tmp_path / f"{mode}.rrd", mode, video)
+        assert cost.kilobytes < limit
+        assert cost.write_ms < 5
+
+
+def test_settings_reach_the_recording(clip, tmp_path):
+    path = tmp_path / "run.rrd"
+    flags = ("--log-image", "none", "--log-every", 2, "--log-descriptor-every", 0, "--blueprint", "minimal")
+    assert command(clip, "--save", path, *flags).code == 0
+    rows = recorded(path)
+    assert rows["/camera/tracks"]["frame"] == [0, 2, 4, 6]
+    assert not {"/camera/image", "/camera/descriptor"} & rows.keys()
+    assert names_of_views(path) == {"Tracks", "Lines per frame", "Log"}
+    sizes = {}
+    for quality in (95, 10):
+        assert command(clip, "--save", path, "--jpeg-quality", quality).code == 0
+        for name in ("image", "edges"):
+            ((blob,), *_) = recorded(path)[f"/camera/{name}"]["EncodedImage:blob"]
+            sizes[name, quality] = len(blob)
+    assert sizes["image", 95] > 3 * sizes["image", 10]
+    assert sizes["edges", 95] > 2 * sizes["edges", 10]
+    assert command(clip, "--save", path, "--jpeg-quality", 0).code == 2

@@ -1,0 +1,201 @@
+"""Pictures and films of a recording that need no viewer and no graphics driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+
+from airline.errors import InputError
+from frontend.colours import track_colours
+from tests.helpers.moving_rectangle import HEIGHT, STEP_NS, WIDTH, frame_results, rectangle
+from tests.helpers.viewer import needs_viewer, snapshot
+from viz.film import write_film
+from viz.recording import BACKGROUND, Recording
+from viz.rerun_sink import RerunSink
+from viz.snapshot import save_film, save_overlay
+from viz.track_lines import log_tracks
+
+FRAMES = 10
+NO_DRIVER = {"VK_DRIVER_FILES": "/none", "VK_ICD_FILENAMES": "/none"}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("snapshot") / "run.rrd"
+    sink = RerunSink(save=path)
+    for result in frame_results(FRAMES):
+        sink.write(result)
+    sink.close()
+    return path
+
+
+def drawn(path: Path, frame: int | None = None) -> np.ndarray:
+    picture = path.with_suffix(".png")
+    save_overlay(path, picture, frame=frame)
+    return cv2.imread(str(picture))
+
+
+def sides(frame: int) -> np.ndarray:
+    """(4, 2) middles of the rectangle's sides, px; tracks 0 to 3."""
+    return rectangle(frame).mean(axis=1)
+
+
+@pytest.mark.parametrize("frame", [0, 8])
+def test_lines_have_the_colours_of_the_recording(recording, frame):
+    picture = drawn(recording, frame)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    tracks = list(frame_results(FRAMES))[frame].tracks
+    for middle, colour in zip(sides(frame), track_colours(tracks.ids, tracks.confirmed)[:, ::-1], strict=True):
+        x, y = np.rint(middle).astype(int)
+        near = picture[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3).astype(int)
+        assert np.abs(near - colour).max(axis=1).min() < 40
+    inside = np.rint(sides(frame).mean(axis=0)).astype(int)
+    assert np.abs(picture[inside[1], inside[0]].astype(int) - 150).max() < 8  # the image itself
+
+
+def across(picture: np.ndarray, track: int, frame: int) -> np.ndarray:
+    """How far the picture differs from its plain surroundings, along a column through a horizontal side."""
+    x, y = np.rint(sides(frame)[track]).astype(int)
+    column = picture[y - 6 : y + 7, x].astype(float)
+    return np.abs(column - BACKGROUND).sum(axis=1)
+
+
+def lines_alone(path: Path, **camera: float) -> Path:
+    """A recording with tracks and without images."""
+    stream = rr.RecordingStream("test")
+    stream.save(path)
+    if camera:
+        stream.log("/camera", rr.Pinhole(focal_length=300, **camera), static=True)
+    for k, result in enumerate(frame_results(FRAMES)):
+        stream.set_time("frame", sequence=k)
+        log_tracks(stream, result.tracks)
+    stream.flush()
+    stream.disconnect()
+    return path
+
+
+def test_lines_are_drawn_between_pixels_and_confirmed_ones_wider(tmp_path):
+    frame = 8
+    picture = drawn(lines_alone(tmp_path / "lines.rrd", width=WIDTH, height=HEIGHT), frame)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    widths = {}
+    for track in (0, 2):  # the confirmed upper side and the tentative lower one
+        profile = across(picture, track, frame)
+        place = np.rint(sides(frame)[track][1]) - 6 + np.average(np.arange(13), weights=profile)
+        assert place == pytest.approx(sides(frame)[track][1], abs=0.15)
+        widths[track] = (profile > 0.5 * profile.max()).sum()
+    assert widths[0] > widths[2]
+
+
+def test_background_is_as_large_as_the_lines_need_without_a_camera(tmp_path):
+    picture = drawn(lines_alone(tmp_path / "lines.rrd"), 8)
+    width, height = rectangle(8).reshape(-1, 2).max(axis=0)
+    assert picture.shape[1] == pytest.approx(width, abs=2)
+    assert picture.shape[0] == pytest.approx(height, abs=2)
+    assert (picture.reshape(-1, 3) == BACKGROUND).all(axis=1).mean() > 0.9
+
+
+@pytest.mark.parametrize("kind", ["raw", "grey", "video"])
+def test_images_in_every_form(tmp_path, kind):
+    path = tmp_path / "run.rrd"
+    images = [np.full((HEIGHT, WIDTH, 3), 20 * k + 10, np.uint8) for k in range(FRAMES)]
+    stream = rr.RecordingStream("test")
+    stream.save(path)
+    if kind == "video":
+        write_film(tmp_path / "film.mp4", images, 30)
+        video = rr.AssetVideo(path=tmp_path / "film.mp4")
+        stream.log("/camera/image", video, static=True)
+        times = video.read_frame_timestamps_nanos()
+    for k, result in enumerate(frame_results(FRAMES)):
+        stream.set_time("frame", sequence=k)
+        log_tracks(stream, result.tracks)
+        if kind == "raw":
+            stream.log("/camera/image", rr.Image(images[k], "BGR"))
+        elif kind == "grey":
+            stream.log("/camera/image", rr.Image(images[k][:, :, 0]))
+        else:
+            stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=times[k]))
+    stream.flush()
+    stream.disconnect()
+    shown = [frame.image for frame in Recording(path).frames()]
+    assert len(shown) == FRAMES
+    for image, expected in zip(shown, images, strict=True):
+        assert np.abs(image.astype(int) - expected).max() < 6
+
+
+def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
+    assert save_film(recording, tmp_path / "film.mp4") == FRAMES
+    film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(1e9 / STEP_NS, rel=1e-3)
+    frames = []
+    while (read := film.read())[0]:
+        frames.append(read[1])
+    film.release()
+    assert len(frames) == FRAMES
+    assert frames[8].shape == (HEIGHT, WIDTH, 3)
+    assert np.abs(frames[8].astype(int) - drawn(recording, 8)).mean() < 4
+    assert save_film(recording, tmp_path / "part.mp4", start=3, end=5) == 3
+    with pytest.raises(InputError, match="choose frames from 0 to 9"):
+        save_film(recording, tmp_path / "part.mp4", start=12)
+
+
+def test_odd_sizes_make_a_film_too(tmp_path):
+    write_film(tmp_path / "odd.mp4", [np.full((31, 45, 3), 80, np.uint8)] * 2, 12.5)
+    film = cv2.VideoCapture(str(tmp_path / "odd.mp4"))
+    assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (46, 32)
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
+    film.release()
+
+
+def test_command_line_without_a_graphics_driver(recording, tmp_path):
+    film, picture = tmp_path / "film.mp4", tmp_path / "picture.png"
+    outcome = snapshot(recording, picture, "--plain", "--frame", 8, "--video", film, "--end", 4, **NO_DRIVER)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    np.testing.assert_array_equal(cv2.imread(str(picture)), drawn(recording, 8))
+    assert film.stat().st_size > 1000
+
+
+@needs_viewer
+def test_without_a_driver_the_error_names_the_plain_picture(recording, tmp_path):
+    outcome = snapshot(recording, tmp_path / "picture.png", **NO_DRIVER)
+    assert outcome.returncode == 2
+    assert "--plain" in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["picture.png", "--plain", "--frame", "99"], "there is no frame 99: choose one from 0 to 9"),
+        (["none/picture.png", "--plain"], "cannot write"),
+        (["picture.xyz", "--plain"], "cannot write"),
+        (["--video", "film.avi"], "films are .mp4 files"),
+        (["--video", "none/film.mp4"], "cannot write the film"),
+        ([], "name the picture to write"),
+    ],
+)
+def test_wrong_arguments_are_answered_in_one_sentence(recording, tmp_path, arguments, sentence):
+    given = [str(tmp_path / part) if "." in part else part for part in arguments]
+    outcome = snapshot(recording, *given)
+    assert outcome.returncode == 2
+    assert sentence in outcome.stderr
+    assert outcome.stderr.count("\n") == 1
+
+
+def test_recordings_of_others_and_damaged_ones(tmp_path):
+    stream = rr.RecordingStream("test")
+    stream.save(tmp_path / "other.rrd")
+    stream.set_time("frame", sequence=0)
+    stream.log("/points", rr.Points2D([[1, 2]]))
+    stream.flush()
+    stream.disconnect()
+    with pytest.raises(InputError, match="has no tracks"):
+        Recording(tmp_path / "other.rrd")
+    (tmp_path / "bad.rrd").write_bytes(b"no recording" * 100)
+    with pytest.raises(InputError, match="damaged or none"):
+        Recording(tmp_path / "bad.rrd")
+    with pytest.raises(InputError, match="there is no recording"):
+        Recording(tmp_path / "none.rrd")

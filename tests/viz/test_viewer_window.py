@@ -1,0 +1,89 @@
+"""Opening the viewer's window: on a screen, and where there is none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.command import command
+from tests.helpers.ports import free_port, listening
+from tests.helpers.viewer import viewers
+from viz.viewer import environment, open_viewer
+
+NO_SCREEN = ":4077"
+
+
+def test_a_dead_display_opens_nothing(monkeypatch):
+    monkeypatch.setenv("DISPLAY", NO_SCREEN)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    port = free_port()
+    assert open_viewer(port) is None
+    assert viewers(port) == []
+
+
+def test_a_dead_display_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
+    monkeypatch.setenv("DISPLAY", NO_SCREEN)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, free_port()))
+    done = command(clip, "--max-frames", "2")
+    assert done.code == 0
+    assert "no viewer window could be opened: saving room.rrd instead" in caplog.text
+    assert (tmp_path / "room.rrd").stat().st_size > 1000
+
+
+@pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs a virtual screen (Debian: xvfb)")
+def test_a_window_opens_and_is_used_again(monkeypatch):
+    number = 90 + os.getpid() % 900
+    screen = subprocess.Popen(["Xvfb", f":{number}", "-screen", "0", "1024x768x24"], stderr=subprocess.DEVNULL)
+    monkeypatch.setenv("DISPLAY", f":{number}")
+    port = free_port()
+    try:
+        deadline = time.monotonic() + 10
+        while not Path(f"/tmp/.X11-unix/X{number}").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        address = f"127.0.0.1:{port}"
+        assert open_viewer(port) == address
+        assert listening(port) == {"0100007F"}, "other machines must not reach the viewer"
+        running = viewers(port)
+        assert len(running) >= 1
+        assert open_viewer(port) == address
+        assert viewers(port) == running, "the open window is used, no second one comes"
+    finally:
+        for process in viewers(port):
+            os.kill(process, signal.SIGKILL)
+        screen.terminate()
+        screen.wait()
+
+
+def test_the_viewer_reports_to_nobody():
+    program = Path(sys.executable).parent / "rerun"
+    if not program.exists():
+        pytest.skip("Rerun's viewer is not installed beside this Python")
+    command = [program, "--headless", "--bind", "127.0.0.1", "--port", str(free_port())]
+    loud = {**environment(), "RUST_LOG": "re_analytics=debug"}
+    with subprocess.Popen(
+        command, env=loud, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+    ) as viewer:
+        stop = threading.Timer(30, os.killpg, [viewer.pid, signal.SIGKILL])
+        stop.start()
+        try:
+            said = next((line for line in viewer.stdout if b"nalytics" in line), b"nothing")
+        finally:
+            stop.cancel()
+            os.killpg(viewer.pid, signal.SIGKILL)
+    assert b"Analytics disabled" in said
+
+
+def test_without_the_viewer_program_nothing_opens(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    assert open_viewer(free_port()) is None

@@ -1,0 +1,288 @@
+"""The Rerun sink: what is written can be read back, number by number."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from frontend.colours import track_colours
+from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
+from viz.colours import ANGLES, STRENGTHS, orientation_palette
+from viz.overlay import draw_tracks
+from viz.pictures import (
+    coarse_descriptors,
+    edge_image,
+    line_angles,
+    orientation_classes,
+    orientation_image,
+    region_image,
+)
+from viz.rerun_sink import RerunSink
+
+FRAMES = 10
+EVERY_FRAME = {
+    *(f"/camera/{name}" for name in ("image", "edges", "orientation", "regions", "segments")),
+    *(f"/camera/{name}" for name in ("tracks", "tracks/lost", "tails")),
+    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "lost")),
+    *("/stats/track_length", "/stats/time_ms/edges", "/stats/time_ms/track"),
+}
+
+
+def record(path: Path, **options: object) -> Path:
+    sink = RerunSink(save=path, **options)
+    for result in frame_results(FRAMES):
+        sink.write(result)
+    sink.close()
+    sink.close()
+    return path
+
+
+def read(path: Path) -> dict[str, dict[str, list]]:
+    """Columns of every entity, rows in file order."""
+    from rerun.chunk import RrdReader
+
+    entities: dict[str, dict[str, list]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        columns = entities.setdefault(chunk.entity_path, {})
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            times = str(column.type) in ("duration[ns]", "timestamp[ns]")  # Python's own types have no nanoseconds
+            columns.setdefault(name, []).extend((column.cast("int64") if times else column).to_pylist())
+    return entities
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("viz") / "run.rrd", descriptor_every=4)
+
+
+@pytest.fixture(scope="module")
+def entities(recording: Path) -> dict[str, dict[str, list]]:
+    return read(recording)
+
+
+def test_every_entity_has_one_row_per_frame(entities):
+    rows = {path: columns["frame"] for path, columns in entities.items() if "frame" in columns}
+    assert rows.keys() >= EVERY_FRAME
+    assert all(rows[path] == list(range(FRAMES)) for path in EVERY_FRAME)
+    assert rows["/camera/descriptor"] == [0, 4, 8]
+    assert rows["/log"] == [RESET_FRAME]
+    assert rows.keys() == EVERY_FRAME | {"/camera/descriptor", "/log"}
+
+
+def test_sensor_time_is_exact(entities):
+    for path in EVERY_FRAME:
+        assert entities[path]["sensor_time"] == [k * STEP_NS for k in range(FRAMES)]
+
+
+def test_epoch_stamps_become_timestamps(tmp_path):
+    stamp = 1_700_000_000_123_456_789
+    sink = RerunSink(save=tmp_path / "epoch.rrd")
+    for result in frame_results(2, first_stamp_ns=stamp):
+        sink.write(result)
+    sink.close()
+    from rerun.chunk import RrdReader
+
+    for path in ("/camera/tracks", "/stats/counts/lines"):
+        chunks = [c for c in RrdReader(tmp_path / "epoch.rrd").stream().to_chunks() if c.entity_path == path]
+        batches = [b for b in (c.to_record_batch() for c in chunks) if "sensor_time" in b.schema.names]
+        columns = [batch.column("sensor_time") for batch in batches]  # of a slow machine, a chunk for each frame
+        assert {str(column.type) for column in columns} == {"timestamp[ns]"}
+        assert sorted(t for column in columns for t in column.cast("int64").to_pylist()) == [stamp, stamp + STEP_NS]
+
+
+@pytest.mark.parametrize("path", ["/camera/segments", "/camera/tracks"])
+def test_segments_are_moved_to_the_corner_convention_and_nothing_else(entities, path):
+    for k, strips in enumerate(entities[path]["LineStrips2D:strips"]):
+        np.testing.assert_array_equal(np.array(strips, np.float32), rectangle(k) + np.float32(0.5))
+
+
+def test_tracks_keep_their_id_and_their_hue(entities):
+    columns = entities["/camera/tracks"]
+    assert columns["track_id"] == [[0, 1, 2, 3]] * FRAMES
+    assert all(columns["LineStrips2D:colors"][k] == columns["LineStrips2D:colors"][2] for k in range(2, FRAMES))
+    first, last = np.abs(columns["LineStrips2D:radii"][0]), np.abs(columns["LineStrips2D:radii"][-1])
+    assert len(set(first)) == 1
+    assert last[:2].min() > last[2:].max()
+
+
+def test_statistics(entities):
+    def figures(path: str) -> list[float]:
+        return [value for (value,) in entities[f"/stats/{path}"]["Scalars:scalars"]]
+
+    assert figures("counts/lines") == figures("counts/tracks") == [4] * FRAMES
+    assert figures("counts/confirmed") == [0, 0] + [2] * (FRAMES - 2)
+    assert figures("track_length") == [0, 0, *range(2, FRAMES)]
+    assert figures("time_ms/edges") == [5.0 + k for k in range(FRAMES)]
+
+
+def test_reset_is_in_the_log(entities):
+    assert entities["/log"]["TextLog:text"] == [["all tracks ended: the camera was covered"]]
+
+
+def test_pinhole_has_the_corner_convention(entities):
+    (matrix,) = entities["/camera"]["Pinhole:image_from_camera"][0]
+    expected = CAMERA.matrix + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    np.testing.assert_allclose(np.reshape(matrix, (3, 3)).T, expected)
+
+
+def test_pictures_decode_to_what_went_in(entities):
+    last = list(frame_results(FRAMES))[-1]
+
+    def picture(name: str) -> np.ndarray:
+        blob = np.array(entities[f"/camera/{name}"]["EncodedImage:blob"][-1][0], np.uint8)
+        return cv2.imdecode(blob, cv2.IMREAD_UNCHANGED).astype(int)
+
+    assert np.abs(picture("image") - last.frame.image).mean() < 2
+    assert np.abs(picture("edges") - edge_image(last.trace, 2)).mean() < 3
+
+
+def test_orientations_are_numbers_with_colours_and_names(entities):
+    rows = entities["/camera/orientation"]
+    expected = orientation_classes(list(frame_results(FRAMES))[-1].trace, 2)
+    (buffer,) = rows["SegmentationImage:buffer"][-1]
+    np.testing.assert_array_equal(np.array(buffer, np.uint8).reshape(expected.shape), expected)
+    (context,) = (row for row in rows["AnnotationContext:context"] if row)
+    classes = {entry["class_id"]: entry["class_description"]["info"] for entry in context[0]}
+    assert len(classes) == len(orientation_palette()) <= 256
+    for number, (red, green, blue) in enumerate(orientation_palette().tolist()):
+        assert classes[number]["color"] == red << 24 | green << 16 | blue << 8 | 255
+    shown = {classes[number]["label"] for number in np.unique(expected[expected > 0]).tolist()}
+    assert shown == {"0°, 75 % and more", "90°, 75 % and more"}  # of a rectangle
+
+
+def test_file_is_small_and_carries_the_layout(recording):
+    from rerun.chunk import RrdReader
+
+    assert recording.stat().st_size < FRAMES * 60_000
+    (blueprint,) = RrdReader(recording).blueprints()
+    chunks = RrdReader(recording).stream(store=blueprint).to_chunks()
+    names = {
+        name
+        for chunk in chunks
+        if "ViewBlueprint:display_name" in (batch := chunk.to_record_batch()).schema.names
+        for row in batch.column("ViewBlueprint:display_name").to_pylist()
+        for name in row
+    }
+    plots = {"Lines per frame", "Track length (frames)", "Time per stage (ms)", "Log"}
+    assert names == {"Tracks", "Edges", "Orientation (hue = angle)", "Regions of lines", "Segments"} | plots
+
+
+@pytest.mark.parametrize("image", [np.zeros((240, 320), np.uint8), np.zeros((240, 320, 3), np.uint16)])
+def test_frame_without_lines_clears_what_was_shown(tmp_path, image):
+    first, second = frame_results(2)
+    none = np.zeros(0, int)
+    empty = {
+        field.name: getattr(second.tracks, field.name)[none]
+        for field in dataclasses.fields(second.tracks)
+        if isinstance(getattr(second.tracks, field.name), np.ndarray)
+    }
+    blank = dataclasses.replace(
+        second,
+        frame=dataclasses.replace(second.frame, image=image),
+        trace=trace_of(np.zeros((0, 2, 2), np.float32)),
+        tracks=dataclasses.replace(second.tracks, **empty),
+    )
+    sink = RerunSink(save=tmp_path / "run.rrd", descriptor_every=1)
+    sink.write(first)
+    sink.write(blank)
+    sink.close()
+    written = read(tmp_path / "run.rrd")
+    assert all(written[path]["frame"] == [0, 1] for path in EVERY_FRAME)
+    assert written["/camera/tracks"]["LineStrips2D:strips"][1] == []
+    assert written["/camera/segments"]["LineStrips2D:strips"][1] == []
+
+
+def test_importing_the_package_does_not_load_rerun():
+    code = "import sys, viz, viz.colours, viz.overlay; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2]).returncode == 0
+
+
+def test_track_colours_are_stable_bright_and_far_apart():
+    ids = np.arange(2000, 2300)
+    colours = track_colours(ids)
+    np.testing.assert_array_equal(track_colours(ids[::-1])[::-1], colours)
+    assert (colours.max(axis=1) >= 250).all()
+    assert (np.ptp(colours.astype(int), axis=1) > 100).all()  # no grey, no white
+    neighbours = [np.linalg.norm(colours[k:].astype(int) - colours[: len(ids) - k], axis=1).min() for k in (1, 2, 3, 4)]
+    assert min(neighbours) > 80
+
+
+def test_coarse_descriptors_lose_no_cell_with_an_edge():
+    trace = trace_of(rectangle(0))
+    coarse = coarse_descriptors(trace)
+    assert coarse.shape == (60, 80, 6)
+    cells = np.zeros((60, 80), bool)
+    cells[trace.pixels[:, 1] // 4, trace.pixels[:, 0] // 4] = True
+    np.testing.assert_array_equal(coarse.any(axis=2), cells)
+
+
+def test_regions_show_which_pixels_support_which_line():
+    trace = trace_of(rectangle(0))
+    labels = np.where(trace.descriptors[:, 0] > 0, 0, -1).astype(np.int32)  # all horizontal pixels, no others
+    picture = region_image(dataclasses.replace(trace, labels=labels), np.array([700, 1, 2, 3], np.uint16), 2)
+    assert set(np.unique(picture)) == {0, 700}
+    x, y = trace.pixels[labels == 0].T // 2
+    assert (picture[y, x] == 700).all()
+
+
+def test_angles_average_across_the_wrap():
+    descriptors = np.zeros((4, 6), np.float32)
+    descriptors[0, 0] = descriptors[1, 3] = 1
+    descriptors[2, [0, 5]] = np.sqrt(0.5)  # between 0 and 150 degrees lies 165, not 75
+    descriptors[3, [1, 2]] = np.sqrt(0.5)
+    np.testing.assert_allclose(np.degrees(line_angles(descriptors)), [0, 90, 165, 45], atol=1e-3)
+
+
+def test_orientation_image_shows_angle_as_hue_and_is_black_off_the_edges():
+    segments = rectangle(0)
+    trace = trace_of(segments)
+    picture = orientation_image(trace)
+    assert not picture[trace.edges == 0].any()
+    x, y = np.rint(segments[0].mean(axis=0)).astype(int)
+    red, green, blue = picture[y, x].tolist()  # horizontal is red
+    assert red == 255
+    assert green == blue < 128
+    x, y = np.rint(segments[1].mean(axis=0)).astype(int)
+    red, green, blue = picture[y, x].tolist()  # vertical is the opposite, cyan
+    assert red < 128
+    assert green == blue == 255
+
+
+def test_orientations_are_periodic_and_faint_edges_dark_but_not_black():
+    trace = trace_of(rectangle(0))
+    angles = np.pi - np.array([1e-6, 0.02, 0.04], np.float32)  # radians; one step is 0.052
+    doubled = 2 * (angles[:, None] - np.arange(6) * np.pi / 6)
+    y, x = np.array([10, 20, 30]), np.array([10, 20, 30])
+    edges = np.zeros_like(trace.edges)
+    edges[y, x] = 1.0, 0.1, 0.1
+    some = dataclasses.replace(
+        trace,
+        edges=edges,
+        pixels=np.stack([x, y], axis=1).astype(np.int32),
+        descriptors=np.cos(doubled).astype(np.float32),
+    )
+    classes = orientation_classes(some)[y, x].tolist()
+    assert classes == [STRENGTHS, 1, 1 + STRENGTHS * (ANGLES - 1)]
+    assert np.count_nonzero(orientation_classes(some)) == 3
+    assert orientation_palette()[1:].max(axis=1).min() > 80
+
+
+def test_overlay_draws_where_the_tracks_are_in_their_colours():
+    result = list(frame_results(5))[-1]
+    before = result.frame.image.copy()
+    picture = draw_tracks(result.frame.image, result.tracks)
+    np.testing.assert_array_equal(result.frame.image, before)
+    colours = track_colours(result.tracks.ids, result.tracks.confirmed)[:, ::-1]
+    for segment, colour in zip(result.tracks.segments_px[:2], colours[:2], strict=True):
+        x, y = np.floor(segment.mean(axis=0)).astype(int)
+        patch = picture[y - 1 : y + 3, x - 1 : x + 3].reshape(-1, 3).astype(int)
+        assert np.abs(patch - colour).sum(axis=1).min() < 40
+    grey = draw_tracks(np.zeros((240, 320), np.uint8), result.tracks)
+    assert grey.shape == (240, 320, 3)
