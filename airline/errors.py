@@ -4,6 +4,9 @@ Each message is one sentence that says what is wrong and what to do about it. Th
 with code 2; a library caller catches `AirLineError` and never sees a foreign exception for bad input.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class AirLineError(Exception):
     """Base class of every error in this project that a user can cause."""
@@ -19,3 +22,16 @@ class ConfigError(AirLineError):
 
 class WeightsError(AirLineError):
     """A weights file that is missing, damaged or made for another network."""
+
+
+@contextmanager
+def from_extra(extra: str) -> Iterator[None]:
+    """Around the import of what an extra of this package brings along.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{error.name} is not installed: pip install 'airline-frontend[{extra}]'") from None

@@ -133,7 +133,7 @@ def load_clips(spec: str | None, sizes: Sequence[str], config: RunConfig) -> dic
     import cv2
 
     from airline.image import to_uint8
-    from frontend.run import open_input
+    from frontend.cli.wiring import open_input
 
     shapes = {size: _width_height(size) for size in sizes}
     clips: dict[str, list[bytes]] = {size: [] for size in sizes}
@@ -181,7 +181,8 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
     import msgspec
     import torch  # noqa: F401  what the memory is counted from
 
-    from frontend.run import open_recording, process
+    from frontend.cli.wiring import open_recording
+    from frontend.run import process
     from logs.sinks.open import open_track_sink
 
     config = msgspec.structs.replace(config, serial=serial)

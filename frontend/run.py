@@ -17,6 +17,7 @@ from airline.errors import AirLineError, ConfigError, InputError
 from frontend.cli.flags import build_parser, settings_of
 from frontend.cli.signals import ending_like_interrupts, exit_code_of, uninterrupted
 from frontend.cli.terminal import progress, set_up_logging
+from frontend.cli.wiring import open_input, open_recording
 
 if TYPE_CHECKING:
     import argparse
@@ -30,54 +31,6 @@ if TYPE_CHECKING:
     from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
-
-
-def open_input(spec: str | None, config: RunConfig) -> Source:
-    """The frames that the input, the camera and the frame settings stand for."""
-    from frontend.camera.undistort import with_camera
-    from frontend.protocols import is_live
-    from frontend.sources.selection import select_frames
-
-    chosen = config.input
-    camera = None
-    if chosen.calib is not None:
-        from frontend.camera.calibration import read_calibration
-
-        camera = read_calibration(chosen.calib)
-    opened = open_source_of(spec, config)
-    try:
-        selected = select_frames(
-            with_camera(opened, camera, undistort=chosen.undistort),
-            start_s=chosen.start,
-            end_s=chosen.end,
-            stride=chosen.stride,
-            max_frames=chosen.max_frames,
-            resize=chosen.size,
-        )
-    except AirLineError:
-        opened.close()
-        raise
-    if not chosen.realtime or is_live(selected):
-        return selected
-    from frontend.sources.realtime import RealtimeSource
-
-    return RealtimeSource(selected, ahead=spec is None)  # the built-in clip takes longer to render than to play
-
-
-def open_source_of(spec: str | None, config: RunConfig) -> Source:
-    """The input as it is: the built-in clip, a log, or whatever `open_source` takes."""
-    from frontend.sources import open_source
-    from logs.files import is_log
-
-    if spec is None:
-        from frontend.sources.scene import SceneSource
-
-        return SceneSource()
-    if is_log(spec):
-        from logs import open_images
-
-        return open_images(spec, config.input.topic, time_source=config.input.time_source)
-    return open_source(spec, topic=config.input.topic, fps=config.input.fps, reconnect_s=config.input.reconnect)
 
 
 def has_display() -> bool:
@@ -241,26 +194,6 @@ def where_to_record(
     if options.save is not None:
         return options.save, None
     return (None if elsewhere else Path(f"{name}.rrd")), None
-
-
-def open_recording(
-    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
-) -> Sink:
-    """The Rerun recording, into a file, a viewer or both."""
-    from viz.rerun_sink import RerunSink
-
-    chosen = config.recording
-    return RerunSink(
-        save=save,
-        connect=viewer,
-        name=name,
-        image=chosen.image,
-        video=video,
-        blueprint=chosen.blueprint,
-        every=chosen.every,
-        descriptor_every=chosen.descriptor_every,
-        jpeg_quality=chosen.jpeg_quality,
-    )
 
 
 def write_summary(path: Path, summary: Summary) -> None:

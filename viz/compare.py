@@ -133,7 +133,7 @@ def open_input(options: argparse.Namespace) -> Source | None:
     if options.input is None and is_track_file(options.a) and is_track_file(options.b):
         return None
     from frontend.cli.settings import load
-    from frontend.run import open_source_of
+    from frontend.cli.wiring import open_source_of
     from frontend.sources.selection import select_frames
 
     source = open_source_of(options.input, load(None, {}))

@@ -137,9 +137,10 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
     """Write all outputs and the summary into the folder; returns the summary."""
     from airline import __version__
     from frontend.cli.summary import SummaryCounter
+    from frontend.cli.wiring import open_input, open_recording
     from frontend.cores import network_threads
     from frontend.pipeline import LineFrontend
-    from frontend.run import check_frames, open_input, open_recording, push, video_to_log
+    from frontend.run import check_frames, push, video_to_log
     from frontend.tracker import LineTracker
     from logs.sinks.open import open_track_sink
 

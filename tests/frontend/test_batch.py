@@ -159,7 +159,7 @@ def test_unexpected_errors_are_reasons_too(tmp_path: Path, monkeypatch: pytest.M
         logging.getLogger("logs").warning("%s looks odd", spec)
         raise ZeroDivisionError("first\nsecond")
 
-    monkeypatch.setattr("frontend.run.open_input", fail)
+    monkeypatch.setattr("frontend.cli.wiring.open_input", fail)
     monkeypatch.setattr("frontend.fleet.job._settle", lambda cores: None)
     row = run_job(Job("a", "/a.mcap", tmp_path / "a", {}), Recipe(RunConfig(), ("parquet",)))
     assert (row.status, row.reason) == ("failed", "ZeroDivisionError: first second")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from frontend.cli.settings import load
+from frontend.cli.wiring import open_input
 from frontend.frame import Frame
 from frontend.protocols import Source, is_live
-from frontend.run import open_input
 from frontend.sources.fresh import FreshFrames
 from frontend.sources.realtime import RealtimeSource
 from tests.helpers.command import command
