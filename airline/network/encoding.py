@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airline.image import Gray
 from airline.kernels.compiled import njit
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.threads import ALONE, ThreadTeam
 from airline.network.sigmoid import sigmoid
 from airline.network.smooth import box_mean
 from airline.network.spec import UNetSpec
@@ -32,7 +32,7 @@ def folded_size(spec: UNetSpec, height: int, width: int) -> tuple[int, int]:
     return rows, columns
 
 
-def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
+def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: ThreadTeam = ALONE) -> None:
     """Fill the network's input: normalised pixels of each block as channels, and smoothed copies.
 
     The same as `unet.normalise`, `pixel_unshuffle` and `UNet._smoothed` on an image whose last row and column
@@ -64,15 +64,15 @@ def fold(gray: Gray, spec: UNetSpec, planes: Codes, team: Team = ALONE) -> None:
             box_mean(finer, level + 1, means)
             _encode_doubled(means[start - first : end - first], doubled)
 
-    team.share(rows, LEAST_ROWS, fill)
+    team.map_range(rows, LEAST_ROWS, fill)
 
 
-def unfold(logits: Codes, side: int, height: int, width: int, team: Team = ALONE) -> NDArray[np.float32]:
+def unfold(logits: Codes, side: int, height: int, width: int, team: ThreadTeam = ALONE) -> NDArray[np.float32]:
     """(height, width) float32 edge probability of (h, w, side * side) logits, in the codes of `fold`."""
     edges = np.empty((height, width), np.float32)
     numbers, table = (logits, _probabilities()) if logits.itemsize == 2 else (logits.view(np.float32), None)
     block, rows = _unrolled(side), -(-height // side)
-    team.share(rows, LEAST_ROWS, lambda start, end: _unfold(numbers, block, table, edges, start, end))
+    team.map_range(rows, LEAST_ROWS, lambda start, end: _unfold(numbers, block, table, edges, start, end))
     return edges
 
 

@@ -12,7 +12,7 @@ import openvino as ov
 from numpy.typing import NDArray
 
 from airline.image import Gray
-from airline.kernels.threads import Team, cores
+from airline.kernels.threads import ThreadTeam
 from airline.network.encoding import Codes, fold, folded_size, unfold
 from airline.network.openvino_core import core
 from airline.network.openvino_graph import build
@@ -54,7 +54,7 @@ class OpenVinoNetwork:
         narrow = has_vnni() and bool(self._ranges)
         self._precision = "int8" if narrow else self._numbers.get_type_name()
         self._threads = threads
-        self._team = Team(cores() if threads is None else threads)
+        self._team = ThreadTeam(threads)
         self._sizes = Sizes(self._sized)
         self._lock = threading.Lock()
 

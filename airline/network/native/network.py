@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray
-from airline.kernels.threads import Team, cores
+from airline.kernels.threads import ThreadTeam
 from airline.network.encoding import folded_size
 from airline.network.native.forward import COLUMNS, go_through, take_in
 from airline.network.native.image import GAIN
@@ -52,7 +52,7 @@ class NativeNetwork:
             raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime openvino")
         self._quantised = quantise(self._spec, tensors, ranges, 127 if isa[1] else 63)
         self._sums = self._quantised.down[0].weights.sum(axis=(1, 2, 4), dtype=np.float32).ravel()
-        self._team = Team(cores() if threads is None else threads)
+        self._team = ThreadTeam(threads)
         self._sizes = Sizes(self._memory)
         self._lock = threading.Lock()
 
@@ -77,7 +77,7 @@ class NativeNetwork:
                     take_in(image, np.float32(mean), memory.blocks, memory.copies, columns, marks, who, crew)
                     go_through(self._isa, *tables, memory.scratch, edges, marks, who, crew)
 
-            self._team.share(crew, 1, join_in)
+            self._team.map_range(crew, 1, join_in)
         return edges
 
     def _normalise(self, memory: Memory, mean: float, deviation: float) -> None:
