@@ -25,7 +25,8 @@ from airline.stages.pixels import PixelSelector, RidgePixels, ThresholdPixels
 from airline.stages.refine import ImageRefiner
 from airline.trace import Trace
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class AirLine:

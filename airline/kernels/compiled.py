@@ -30,7 +30,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**{**OPTIONS, **options})(function)
         try:
-            dispatcher._cache = _Cache(function)
+            dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
         except RuntimeError as error:  # neither beside the source nor in the home folder
             if "no locator available" not in str(error):
                 raise
@@ -48,9 +48,10 @@ class _Location(CompileResultCacheImpl):
     """
 
     def __init__(self, function: Any) -> None:
-        super().__init__(function)
-        package = (function.__globals__.get("__package__") or "").partition(".")[0]
-        self._locator._cache_path = os.path.join(self._locator.get_cache_path(), f"kernels-{_digest(package)}")
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        own = (function.__globals__.get("__package__") or "").partition(".")[0]
+        sources = "-".join(_digest(package) for package in sorted({"airline", own} - {""}))
+        self._locator._cache_path = str(Path(self._locator.get_cache_path()) / f"kernels-{sources}")
 
 
 class _Cache(FunctionCache):
@@ -60,7 +61,7 @@ class _Cache(FunctionCache):
 
     def load_overload(self, *arguments: Any) -> Any:
         try:
-            return super().load_overload(*arguments)
+            return super().load_overload(*arguments)  # type: ignore[no-untyped-call]
         except Exception as error:  # whatever unpickling a damaged file raises
             _warn(f"{type(error).__name__}: {error}")
             return None
@@ -69,27 +70,26 @@ class _Cache(FunctionCache):
         try:
             folder = Path(self.cache_path)
             if not folder.exists():
-                others = sorted(folder.parent.glob("kernels-*"), key=os.path.getmtime)
+                others = sorted(folder.parent.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
                 for old in others[:-KEPT]:
                     shutil.rmtree(old, ignore_errors=True)
-            super().save_overload(*arguments)
+            super().save_overload(*arguments)  # type: ignore[no-untyped-call]
         except Exception as error:
             _warn(f"{type(error).__name__}: {error}")
 
 
 @cache
 def _digest(package: str) -> str:
-    """Of all sources of this package and of another one that have to do with numba."""
+    """Of all sources of a package that have to do with numba."""
     digest = hashlib.sha256()
-    for name in sorted({"airline", package}):
-        for root in getattr(sys.modules.get(name), "__path__", ()):
-            for folder, folders, files in os.walk(root):
-                folders[:] = sorted(set(folders) - {"__pycache__"})
-                for file in sorted(files):
-                    source = Path(folder, file).read_bytes() if file.endswith(".py") else b""
-                    if b"numba" in source or b"njit" in source:
-                        digest.update(source)
-    return digest.hexdigest()[:16]
+    for root in getattr(sys.modules.get(package), "__path__", ()):
+        for folder, folders, files in os.walk(root):
+            folders[:] = sorted(set(folders) - {"__pycache__"})
+            for name in sorted(files):
+                source = Path(folder, name).read_bytes() if name.endswith(".py") else b""
+                if b"numba" in source or b"njit" in source:
+                    digest.update(source)
+    return digest.hexdigest()[:12]
 
 
 def _warn(why: str) -> None:

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
+SIZES = 4  # of images for which a runtime keeps what it has ready
+
 
 @dataclass(frozen=True)
 class UNetSpec:
@@ -33,6 +35,11 @@ class UNetSpec:
     def stride(self) -> int:
         """Image sides must be multiples of this."""
         return int(self.unshuffle * 2 ** (self.levels - 1))
+
+    def folded_size(self, height: int, width: int) -> tuple[int, int]:
+        """Rows and columns of the first level for an image of a size, filled up to the stride."""
+        rows, columns = (-(-side // self.stride) * self.stride // self.unshuffle for side in (height, width))
+        return rows, columns
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of every tensor of the network, by its name."""

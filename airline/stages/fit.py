@@ -49,7 +49,7 @@ class TotalLeastSquaresFitter:
     runs on to the corner.
     """
 
-    config: FitConfig = FitConfig()
+    config: FitConfig = field(default_factory=FitConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def fit(

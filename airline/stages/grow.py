@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ class RegionGrower:
         seed_threshold: only pixels of at least this weight start a region.
     """
 
-    config: GrowConfig = GrowConfig()
+    config: GrowConfig = field(default_factory=GrowConfig)
     seed_threshold: float = 0.0
 
     def grow(self, edge: EdgePixels, descriptors: NDArray[np.float32]) -> NDArray[np.int32]:

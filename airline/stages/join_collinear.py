@@ -24,9 +24,9 @@ def join_collinear(moments: NDArray[np.float64], config: FitConfig) -> NDArray[n
     """
     owner = np.arange(len(moments))
     if config.max_gap > 0 and len(moments):
-        longest_first = np.argsort(-np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7]), kind="stable")
+        lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
         min_cos = np.cos(np.deg2rad(config.max_angle))
-        _join(moments, longest_first, owner, config.max_gap, config.max_offset, min_cos)
+        _join(moments, np.argsort(-lengths, kind="stable"), owner, config.max_gap, config.max_offset, min_cos)
     return owner
 
 

@@ -56,7 +56,7 @@ BLOCK = 256  # pixels that are described at a time
 class LineKernelOrientation:
     """Correlation of the edge map with line kernels, then L2 normalisation (equation 2 of the AirLine paper)."""
 
-    config: OrientationConfig = OrientationConfig()
+    config: OrientationConfig = field(default_factory=OrientationConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     @cached_property

@@ -43,7 +43,7 @@ class PixelSelector(Protocol):
 class ThresholdPixels:
     """Every pixel at or above the threshold, at its integer position, described by the binary map, as in the paper."""
 
-    config: EdgeConfig = EdgeConfig()
+    config: EdgeConfig = field(default_factory=EdgeConfig)
 
     def select(self, edges: NDArray[np.float32]) -> EdgePixels:
         """See `PixelSelector.select`."""
@@ -63,7 +63,7 @@ class RidgePixels:
     edges too.
     """
 
-    config: EdgeConfig = EdgeConfig()
+    config: EdgeConfig = field(default_factory=EdgeConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def select(self, edges: NDArray[np.float32]) -> EdgePixels:

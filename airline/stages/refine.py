@@ -34,7 +34,7 @@ TWO, THREE, FOUR, FIVE = (np.uint64(value) for value in (2, 3, 4, 5))
 class ImageRefiner:
     """Moves lines to the extremum of the grey levels' slope across them."""
 
-    config: RefineConfig = RefineConfig()
+    config: RefineConfig = field(default_factory=RefineConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def refine(self, lines: LineSet, gray: Gray) -> LineSet:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.network.native.microkernels import PIXEL
 from airline.network.native.quantise import Layer, Quantised
-from airline.network.native.rows import PIXEL
 from airline.network.native.vectors import TILE
 
 Terms = list[list[int]]

@@ -1,7 +1,6 @@
 """What is done to `TILE` neighbouring pixels at once; numba compiles these into their callers.
 
-All arguments but `isa` are addresses and counts; see `airline.network.native.vectors`. What numba has kept of the
-callers does not notice a change in here: remove the `__pycache__` beside this file after one.
+All arguments but `isa` and `kind` are addresses and counts, int64; see `airline.network.native.vectors`.
 """
 
 from __future__ import annotations
@@ -15,36 +14,39 @@ from airline.kernels.atomics import intrinsic
 from airline.network.native.vectors import F32, I32, I64, Vectors
 
 Dot = Callable[[Any, Any, Any], Any]
-BLOCK = 8  # outputs of a tile
+BLOCK = 8  # outputs of a tile, but for the last layer's
+PIXEL = 4  # bytes of a group, or of a float
+
+# Kinds of answer: as many numbers as outputs, and whether they become bytes. Numba compiles anew for tuples of other
+# lengths, as for `airline.network.processor.Isa`.
+BYTES, FLOATS, LOGITS = ((0,) * BLOCK, (0,)), ((0,) * BLOCK, ()), ((0,) * 4, ())
 
 
-def _convolution(outputs: int, to_bytes: bool) -> Any:
-    @intrinsic
-    def tile(context, isa, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
-        """Answer some channels.
+@intrinsic
+def tile(context, isa, kind, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
+    """Answer some channels.
 
-        Args:
-            source: of the pixels, to which is added
-            terms: where each group that counts lies, int64 bytes,
-            count: of them.
-            weights: (count, outputs, 4 bytes).
-            factors, offsets: (outputs,) float32, from totals to answers.
-            target: where the answers go, as bytes or as floats.
-            apart: from a group, or from a channel of floats, to the next, bytes.
-        """
+    Args:
+        source: of the pixels, to which is added
+        terms: where each group that counts lies, int64 bytes,
+        count: of them.
+        weights: (count, outputs, 4 bytes).
+        factors, offsets: (outputs,) float32, from totals to answers.
+        target: where the answers go, as bytes or as floats.
+        apart: from a group, or from a channel of floats, to the next, bytes.
+    """
+    outputs, to_bytes = (len(part) for part in kind)
 
-        def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            v = Vectors(builder, isa)
-            _, source, terms, count, weights, factors, offsets, target, apart = arguments
-            for few in _portions(v, outputs):
-                totals = _totals(v, v.dot_bytes, few, outputs, source, terms, count, weights)
-                answers = _answers(v, few, totals, factors, _splats(v, few, offsets))
-                target = _store(v, answers, target, apart, to_bytes)
-            return context.get_dummy_value()
+    def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        v = Vectors(builder, isa)
+        _, _, source, terms, count, weights, factors, offsets, target, apart = arguments
+        for few in _portions(v, outputs):
+            totals = _totals(v, v.dot_bytes, few, outputs, source, terms, count, weights)
+            answers = _answers(v, few, totals, factors, _splats(v, few, offsets))
+            target = _store(v, answers, target, apart, bool(to_bytes))
+        return context.get_dummy_value()
 
-        return types.void(isa, *[types.int64] * 8), emit
-
-    return tile
+    return types.void(isa, kind, *[types.int64] * 8), emit
 
 
 @intrinsic
@@ -128,9 +130,6 @@ def _store(v: Vectors, answers: list[list[Any]], target: Any, apart: Any, to_byt
             v.store(vector, v.after(target, v.size * k))
         target = v.builder.add(target, apart)
     return target
-
-
-chars, floats, head = _convolution(BLOCK, True), _convolution(BLOCK, False), _convolution(4, False)
 
 
 @intrinsic

@@ -1,39 +1,40 @@
-"""A row of each kind of layer. Places are addresses, and distances are in bytes."""
+"""A row of each kind of layer. Sources and targets are addresses; `stride` and what lies `apart` are in bytes."""
 
 from __future__ import annotations
 
 from airline.kernels.compiled import njit
-from airline.network.native.microkernels import BLOCK, add_coarse, chars, fill, first, floats, head, pool
+from airline.network.native.microkernels import BLOCK, PIXEL, add_coarse, first, pool, tile
 from airline.network.native.vectors import TILE
 
 # columns of the table of layers: addresses of weights, factors, offsets and terms; how many terms; how many blocks of
 # outputs
 WEIGHTS, FACTORS, OFFSETS, TERMS, COUNT, BLOCKS = range(6)
-PIXEL = 4  # bytes of a group, or of a float
 
 
 @njit()
-def convolve(isa, layer, turn, source, target, apart, columns):  # type: ignore[no-untyped-def]
-    """A convolution, answered as bytes.
+def convolve(isa, kind, layer, turn, source, target, apart, columns):  # type: ignore[no-untyped-def]
+    """A convolution.
 
     Args:
-        isa: see `airline.network.native.vectors`.
-        layer: row of the table.
+        isa: see `airline.network.processor`.
+        kind: of answer, see `airline.network.native.microkernels`.
+        layer: (6,) int64 row of the table.
         turn: which of the layer's lists of terms to take.
         source: what the terms are added to for the first pixel.
-        target: of the answer's first group.
-        apart: from a group to the next.
+        target: of the answer's first group, or plane of floats.
+        apart: from a group or plane to the next.
         columns: how many pixels; what is written beyond them, up to the next whole tile, means nothing.
     """
-    count = layer[COUNT]
+    count, outputs = layer[COUNT], len(kind[0])
+    planes = outputs // 4 if len(kind[1]) else outputs
     terms = layer[TERMS] + 8 * turn * count
     for block in range(layer[BLOCKS]):
-        weights = layer[WEIGHTS] + block * BLOCK * PIXEL * count
-        factors, offsets = layer[FACTORS] + 4 * BLOCK * block, layer[OFFSETS] + 4 * BLOCK * block
-        out = target + BLOCK // 4 * block * apart
+        weights = layer[WEIGHTS] + block * outputs * PIXEL * count
+        factors, offsets = layer[FACTORS] + 4 * outputs * block, layer[OFFSETS] + 4 * outputs * block
+        out = target + planes * block * apart
         for x in range(0, columns, TILE):
             here, there = source + PIXEL * x, out + PIXEL * x
-            chars(isa, here, terms, count, weights, factors, offsets, there, apart)
+            tile(isa, kind, here, terms, count, weights, factors, offsets, there, apart)
 
 
 @njit(inline="always")
@@ -62,27 +63,7 @@ def convolve_first(isa, pixels, copies, source, copies_source, target, apart, co
 
 
 @njit(inline="always")
-def convolve_to_floats(isa, layer, source, target, apart, columns):  # type: ignore[no-untyped-def]
-    """A convolution, answered as a plane of floats for each channel; arguments as for `convolve`."""
-    for block in range(layer[BLOCKS]):
-        weights = layer[WEIGHTS] + block * BLOCK * PIXEL * layer[COUNT]
-        factors, offsets = layer[FACTORS] + 4 * BLOCK * block, layer[OFFSETS] + 4 * BLOCK * block
-        out = target + BLOCK * block * apart
-        for x in range(0, columns, TILE):
-            here, there = source + PIXEL * x, out + PIXEL * x
-            floats(isa, here, layer[TERMS], layer[COUNT], weights, factors, offsets, there, apart)
-
-
-@njit(inline="always")
-def convolve_to_logits(isa, layer, source, target, apart, columns):  # type: ignore[no-untyped-def]
-    """The last layer, answered as four planes of floats; arguments as for `convolve`."""
-    for x in range(0, columns, TILE):
-        here, there = source + PIXEL * x, target + PIXEL * x
-        head(isa, here, layer[TERMS], layer[COUNT], layer[WEIGHTS], layer[FACTORS], layer[OFFSETS], there, apart)
-
-
-@njit(inline="always")
-def take_largest(isa, groups, upper, stride, apart, target, target_apart, columns):  # type: ignore[no-untyped-def]
+def pool_rows(isa, groups, upper, stride, apart, target, target_apart, columns):  # type: ignore[no-untyped-def]
     """A row of the coarser level: of each four pixels of two rows, `stride` from each other, the largest."""
     for group in range(groups):
         for x in range(0, columns, TILE):
@@ -98,10 +79,3 @@ def add_rows(isa, groups, fine, fine_apart, share, coarse, coarse_apart, target,
             here = fine + group * fine_apart + PIXEL * x
             there = coarse + 4 * group * coarse_apart + PIXEL * x // 2
             add_coarse(isa, here, share, there, coarse_apart, target + group * apart + PIXEL * x)
-
-
-@njit(inline="always")
-def fill_pixel(target, apart, groups, value):  # type: ignore[no-untyped-def]
-    """Set all channels of a pixel."""
-    for group in range(groups):
-        fill(target + group * apart, value)
