@@ -29,14 +29,7 @@ CORE = ov.Core()
 class OpenVinoNetwork:
     """A U-Net compiled for the size of the image at hand, which takes a tenth of a second; see `EdgeNetwork`.
 
-    It works in bfloat16 where the processor is made for that, else in float32.
-
-    Args:
-        weights: name of bundled weights, or path of a weights file.
-        threads: at most so many; all cores by default.
-
-    Raises:
-        WeightsError: the weights cannot be used.
+    It works in bfloat16 where the processor is made for that, else in float32. Raises WeightsError.
     """
 
     def __init__(self, weights: str | Path, threads: int | None = None) -> None:

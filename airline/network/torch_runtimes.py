@@ -25,7 +25,7 @@ Capture = Callable[[Network, torch.Tensor], Callable[[], torch.Tensor]]
 
 
 class TorchNetwork:
-    """A U-Net in float32, eager, channels last; see `EdgeNetwork`; weights and errors of `open_network`."""
+    """A U-Net in float32, eager, channels last; see `EdgeNetwork`. Raises WeightsError."""
 
     name = "torch cpu f32"
 
@@ -65,13 +65,7 @@ class CudaNetwork:
     A network of this size is done sooner than Python can start its layers one by one, so they are captured once for
     each size and kind of image as a CUDA graph and replayed.
 
-    Args:
-        weights: see `open_network`.
-        device, capture: for tests where there is no GPU.
-
-    Raises:
-        WeightsError: the weights cannot be used.
-        ConfigError: there is no CUDA device.
+    `device` and `capture` are for tests where there is no GPU. Raises WeightsError, and ConfigError without a GPU.
     """
 
     def __init__(self, weights: str | Path | UNet, device: str = "cuda", capture: Capture = captured) -> None:

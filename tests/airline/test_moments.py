@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from airline.stages.split_regions import fit_regions
+from airline.stages.split_regions import split_regions
 
 DEVIATION = 2.5
 Points = NDArray[np.float64]
@@ -18,7 +18,7 @@ def cut(*regions: Points) -> tuple[list[Points], NDArray[np.float64]]:
     positions = np.concatenate(regions).astype(np.float32)
     offsets = np.cumsum([0, *map(len, regions)])
     order = np.arange(len(positions))
-    rows, bounds, moments = fit_regions(positions, np.ones(len(positions), np.float32), order, offsets, DEVIATION)
+    rows, bounds, moments = split_regions(positions, np.ones(len(positions), np.float32), order, offsets, DEVIATION)
     np.testing.assert_array_equal(np.sort(rows), order)  # every pixel once
     np.testing.assert_array_equal(np.sort(bounds, axis=0)[1:, 0], np.sort(bounds, axis=0)[:-1, 1])
     return [positions[rows[start:end]].astype(np.float64) for start, end in bounds], moments

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from airline.stages.split_regions import split_regions, residual
+from airline.stages.split_regions import residual, split_regions
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
 from frontend.tracking.borders import clip

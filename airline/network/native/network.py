@@ -16,7 +16,7 @@ from airline.network.native.forward import COLUMNS, run_layers, take_image
 from airline.network.native.image import GAIN
 from airline.network.native.memory import Memory, lay_out
 from airline.network.native.quantise import quantise
-from airline.network.processor import Isa, vector_instructions
+from airline.network.processor import vector_instructions
 from airline.network.spec import SIZES, UNetSpec
 from airline.network.weights import load_ranges, load_weights
 
@@ -29,20 +29,18 @@ class NativeNetwork:
 
     Images of 16 bits become ones of 8, where 255 grey levels are ten standard deviations at most.
 
-    Args:
-        weights: name of bundled weights, or path of a weights file.
-        threads: at most so many; all cores by default.
-
     Raises:
         WeightsError: the weights cannot be used.
         ConfigError: the processor lacks the instructions, or the network is of another kind.
     """
 
+    name = "native int8"
+
     def __init__(self, weights: str | Path, threads: int | None = None) -> None:
         isa = vector_instructions()
         if isa is None:
             raise ConfigError("this processor lacks AVX2, which the runtime native needs: use --runtime auto")
-        self._isa: Isa = isa
+        self._isa = isa
         self._spec, tensors = load_weights(weights)
         ranges = load_ranges(weights)
         if not ranges or not _fits(self._spec):
@@ -52,10 +50,6 @@ class NativeNetwork:
         self._team = ThreadTeam(threads)
         self._memory_for = lru_cache(SIZES)(self._memory)
         self._lock = threading.Lock()
-
-    @property
-    def name(self) -> str:
-        return "native int8"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
         image = _narrow(gray)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,10 +55,8 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
         WeightsError: missing, damaged, or not made for this network.
     """
     path, metadata, tensors = _read(weights)
-    try:
+    with _fitting(path):
         return _checked(metadata, tensors)
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise _unfit(path, error) from None
 
 
 def load_ranges(weights: str | Path) -> Ranges:
@@ -65,10 +65,8 @@ def load_ranges(weights: str | Path) -> Ranges:
     Empty for a file that was written without them, or by an earlier version.
     """
     path, metadata, tensors = _read(weights)
-    try:
+    with _fitting(path):
         return _checked_ranges(json.loads(metadata.get("ranges", "{}")), tensors)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise _unfit(path, error) from None
 
 
 def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[Any]]]:
@@ -89,9 +87,15 @@ def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[
         ) from None
 
 
-def _unfit(path: Path, error: Exception) -> WeightsError:
-    reason = " ".join(str(error).split())[:200]
-    return WeightsError(f"{path} does not hold weights of this edge network ({reason}): train with airline.train")
+@contextmanager
+def _fitting(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        why = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{path} does not hold weights of this edge network ({why}): train with airline.train"
+        ) from None
 
 
 def load_unet(weights: str | Path) -> UNet:
