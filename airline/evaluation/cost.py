@@ -20,7 +20,7 @@ import numpy as np
 
 from airline.bench import load_pictures, measure, runtime_name
 from airline.command import Parser, exit_code
-from airline.errors import ConfigError, InputError
+from airline.errors import ConfigError, InputError, from_extra
 from airline.evaluation.plots import COLOURS, DPI, new_axes
 
 if TYPE_CHECKING:
@@ -135,10 +135,11 @@ def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
 
 def peak_products_per_ms(precision: str) -> float:
     """Multiplications per millisecond of a large convolution in OpenVINO, in one of `BYTES`."""
-    import openvino as ov
-    from openvino import opset13 as op
+    with from_extra("openvino"):
+        import openvino as ov
+        from openvino import opset13 as op
 
-    from airline.network.openvino_cpu import CORE
+        from airline.network.openvino_cpu import CORE
 
     channels, side = CONVOLUTION
     image = op.parameter([1, channels, side, side], np.float32)

@@ -41,17 +41,10 @@ class RegionGrower:
         Raises:
             ValueError: the pixels are not in raster order.
         """
-        labels: NDArray[np.int32] = _grow(
-            edge.support.shape,
-            np.dtype(np.uint16 if edge.support.shape[1] < 1 << 16 else np.uint32),
-            edge.pixels,
-            edge.weights,
-            descriptors,
-            np.float32(self.seed_threshold),
-            self.config.similarity,
-            self.config.min_pixels,
-            tuple(range(descriptors.shape[1])),
-        )
+        shape, least = edge.support.shape, np.float32(self.seed_threshold)
+        kind = np.dtype(np.uint16 if shape[1] < 1 << 16 else np.uint32)
+        options = self.config.similarity, self.config.min_pixels, tuple(range(descriptors.shape[1]))
+        labels: NDArray[np.int32] = _grow(shape, kind, edge.pixels, edge.weights, descriptors, least, *options)
         return labels
 
 

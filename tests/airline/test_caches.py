@@ -46,12 +46,6 @@ def use(folder: Path, before: str = "", **environment: str) -> tuple[int, str]:
     return int(out), err
 
 
-def test_a_cache_is_used(tmp_path: Path) -> None:
-    cache = str(tmp_path / "cache")
-    assert use(tmp_path, NUMBA_CACHE_DIR=cache) == (0, "")
-    assert use(tmp_path, NUMBA_CACHE_DIR=cache) == (1, "")
-
-
 CALLEE = """
 from airline.kernels.compiled import njit
 @njit({inline})
@@ -108,7 +102,7 @@ def test_a_full_disk_costs_a_warning(tmp_path: Path) -> None:
     assert "File too large" in said
 
 
-@pytest.mark.parametrize("part", [0.0, 0.5, 0.95])
+@pytest.mark.parametrize("part", [0.0, 0.95])
 def test_damaged_files_are_compiled_anew(tmp_path: Path, part: float) -> None:
     cache = tmp_path / "cache"
     use(tmp_path, NUMBA_CACHE_DIR=str(cache))

@@ -77,11 +77,3 @@ def test_texture_is_not_cut_to_pieces() -> None:
     parts, _ = cut(patch)
     assert len(parts) == 296
     assert max(map(len, parts)) > 9000
-
-
-def test_a_long_zigzag_is_cut_at_every_corner_that_the_limit_allows() -> None:
-    corners = [(15.0 * k, 20.0 * (k % 2)) for k in range(30)]
-    parts, moments = cut(along(*corners))
-    lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
-    assert len(parts) == len(corners) - 1
-    np.testing.assert_allclose(lengths, 25, atol=5)
