@@ -2,52 +2,38 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from airline.config import DetectorConfig
-    from airline.detector import AirLine
-    from airline.errors import AirLineError, ConfigError, InputError, WeightsError
-    from airline.lines import LineSet
-    from airline.stages.edges import CannyEdges, EdgeDetector, ModuleEdges, UNetEdges
-    from airline.trace import Trace
+    from airline.config import DetectorConfig as DetectorConfig
+    from airline.detector import AirLine as AirLine
+    from airline.errors import AirLineError as AirLineError
+    from airline.errors import ConfigError as ConfigError
+    from airline.errors import InputError as InputError
+    from airline.errors import WeightsError as WeightsError
+    from airline.lines import LineSet as LineSet
+    from airline.stages.edges import CannyEdges as CannyEdges
+    from airline.stages.edges import EdgeDetector as EdgeDetector
+    from airline.stages.edges import ModuleEdges as ModuleEdges
+    from airline.stages.edges import UNetEdges as UNetEdges
+    from airline.trace import Trace as Trace
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "AirLine": "airline.detector",
-    "AirLineError": "airline.errors",
-    "CannyEdges": "airline.stages.edges",
-    "ConfigError": "airline.errors",
-    "DetectorConfig": "airline.config",
-    "EdgeDetector": "airline.stages.edges",
-    "InputError": "airline.errors",
-    "LineSet": "airline.lines",
-    "ModuleEdges": "airline.stages.edges",
-    "Trace": "airline.trace",
-    "UNetEdges": "airline.stages.edges",
-    "WeightsError": "airline.errors",
+    "config": ["DetectorConfig"],
+    "detector": ["AirLine"],
+    "errors": ["AirLineError", "ConfigError", "InputError", "WeightsError"],
+    "lines": ["LineSet"],
+    "stages.edges": ["CannyEdges", "EdgeDetector", "ModuleEdges", "UNetEdges"],
+    "trace": ["Trace"],
 }
-
-__all__ = [
-    "AirLine",
-    "AirLineError",
-    "CannyEdges",
-    "ConfigError",
-    "DetectorConfig",
-    "EdgeDetector",
-    "InputError",
-    "LineSet",
-    "ModuleEdges",
-    "Trace",
-    "UNetEdges",
-    "WeightsError",
-]
+__all__ = [name for names in _HOMES.values() for name in names]
 
 
 def __getattr__(name: str) -> Any:  # imports on first use: torch and numba take seconds
-    if name not in _HOMES:
-        raise AttributeError(f"module 'airline' has no attribute '{name}'")
-    from importlib import import_module
-
-    return getattr(import_module(_HOMES[name]), name)
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"airline.{home}"), name)
+    raise AttributeError(f"module 'airline' has no attribute '{name}'")

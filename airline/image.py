@@ -36,6 +36,12 @@ def to_gray(image: ArrayLike) -> Gray:
     return np.ascontiguousarray(array)
 
 
+def mean_and_deviation(gray: Gray) -> tuple[float, float]:
+    """Mean and standard deviation of the grey levels."""
+    mean, deviation = cv2.meanStdDev(gray)
+    return float(mean[0, 0]), float(deviation[0, 0])
+
+
 def to_uint8(gray: Gray) -> NDArray[np.uint8]:
     """The 8-bit version of an image; 16 bits are stretched between the 0.5 and 99.5 percentiles of every 4th pixel."""
     if gray.dtype == np.uint8:

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 if TYPE_CHECKING:
@@ -29,6 +30,15 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, view in enumerate(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=8, size=(160, 120))):
         assert cv2.imwrite(str(folder / f"{number}.png"), view.image)
     return folder
+
+
+@pytest.fixture(scope="session")
+def scene() -> np.ndarray:
+    """(480, 640) uint8 first frame of the built-in clip."""
+    from airline.scenes import RenderedClip
+
+    image: np.ndarray = RenderedClip(seed=12, frames=300).render(0).image[:, :, 1]
+    return image
 
 
 @pytest.fixture

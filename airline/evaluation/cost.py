@@ -20,7 +20,7 @@ import numpy as np
 
 from airline.bench import load_pictures, measure, runtime_name
 from airline.command import Parser, exit_code
-from airline.errors import ConfigError, InputError
+from airline.errors import ConfigError, InputError, from_extra
 from airline.evaluation.plots import COLOURS, DPI, new_axes
 
 if TYPE_CHECKING:
@@ -119,9 +119,7 @@ def draw(sizes: Sequence[Point], pictures: Sequence[Point]) -> Figure:
 
 def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
     """Multiplications of the network for one image, and numbers that its convolutions read and write."""
-    from airline.network.encoding import folded_size
-
-    rows, columns = folded_size(spec, height, width)
+    rows, columns = spec.folded_size(height, width)
     products = moved = 0
     for name, shape in spec.shapes().items():
         if not name.endswith(".weight"):
@@ -137,10 +135,11 @@ def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
 
 def peak_products_per_ms(precision: str) -> float:
     """Multiplications per millisecond of a large convolution in OpenVINO, in one of `BYTES`."""
-    import openvino as ov
-    from openvino import opset13 as op
+    with from_extra("openvino"):
+        import openvino as ov
+        from openvino import opset13 as op
 
-    from airline.network.openvino_core import core
+        from airline.network.openvino_cpu import CORE
 
     channels, side = CONVOLUTION
     image = op.parameter([1, channels, side, side], np.float32)
@@ -155,7 +154,7 @@ def peak_products_per_ms(precision: str) -> float:
         layers = op.convolution(layers, weights, [1, 1], [1, 1], [1, 1], [1, 1])
     hint = "f32" if narrowed else precision
     options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": hint}
-    request = core().compile_model(ov.Model([layers], [image], "peak"), "CPU", options).create_infer_request()
+    request = CORE.compile_model(ov.Model([layers], [image], "peak"), "CPU", options).create_infer_request()
     return 4 * side * side * channels * channels * 9 / _least_ms(request.infer)
 
 

@@ -1,8 +1,7 @@
-"""Steps that threads of compiled code cannot get between, and waiting that does not sleep.
+"""Atomic operations on int32 in compiled code, and waiting that spins instead of sleeping.
 
-A thread that the system has put to sleep takes 50 to 300 microseconds to wake up, a tenth of the time for an image. For
-as long as the next piece of work is likely to come, threads look for it instead, and let others have the core each
-time.
+Waking a thread that sleeps takes 50 to 300 microseconds, a tenth of the time for an image. So threads spin, and yield
+the core each time, for as long as the next piece of work is likely to come.
 """
 
 from __future__ import annotations
@@ -26,29 +25,28 @@ def _pointer(builder: Any, address: Any) -> Any:
 
 
 @intrinsic
-def swap_in_one(context, address):  # type: ignore[no-untyped-def]
-    """Write 1 to an int32 and answer what was there, in one step."""
+def atomic_exchange(context, address, value):  # type: ignore[no-untyped-def]
+    """Write an int32 to an address; returns what was there."""
 
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.atomic_rmw("xchg", _pointer(builder, arguments[0]), _I32(1), "seq_cst")
+        return builder.atomic_rmw("xchg", _pointer(builder, arguments[0]), arguments[1], "seq_cst")
 
-    return types.int32(types.int64), emit
+    return types.int32(types.int64, types.int32), emit
 
 
 @intrinsic
-def add_one(context, address):  # type: ignore[no-untyped-def]
-    """To an int32, in one step."""
+def atomic_add(context, address, value):  # type: ignore[no-untyped-def]
+    """Add to the int32 at an address; returns what was there."""
 
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        builder.atomic_rmw("add", _pointer(builder, arguments[0]), _I32(1), "seq_cst")
-        return context.get_dummy_value()
+        return builder.atomic_rmw("add", _pointer(builder, arguments[0]), arguments[1], "seq_cst")
 
-    return types.void(types.int64), emit
+    return types.int32(types.int64, types.int32), emit
 
 
 @intrinsic
-def look(context, address):  # type: ignore[no-untyped-def]
-    """What an int32 is, whoever wrote it."""
+def atomic_load(context, address):  # type: ignore[no-untyped-def]
+    """The int32 at an address."""
 
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load_atomic(_pointer(builder, arguments[0]), "seq_cst", 4)
@@ -57,8 +55,8 @@ def look(context, address):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def let_others_run(context):  # type: ignore[no-untyped-def]
-    """Where the system offers that."""
+def sched_yield(context):  # type: ignore[no-untyped-def]
+    """Let other threads have the core, where the system is POSIX."""
 
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         if os.name == "posix":
@@ -70,29 +68,29 @@ def let_others_run(context):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def all_set(flags, looks):  # type: ignore[no-untyped-def]
-    """Whether all of some int32 flags are set before we have looked so often."""
+def wait_for_all(flags, spins):  # type: ignore[no-untyped-def]
+    """Whether all of (N,) int32 flags are set before we have spun so often."""
     flag, address = 0, flags.ctypes.data
-    while flag < len(flags) and looks > 0:
-        if look(address + 4 * flag):
+    while flag < len(flags) and spins > 0:
+        if atomic_load(address + 4 * flag):
             flag += 1
         else:
-            looks -= 1
-            let_others_run()
+            spins -= 1
+            sched_yield()
     return flag == len(flags)
 
 
 @njit()
-def set_and_watch(flag, number, before, looks, grace):  # type: ignore[no-untyped-def]
-    """Set a flag; then tell whether a number becomes another before we have looked so often.
+def set_and_watch(flag, number, before, spins, grace):  # type: ignore[no-untyped-def]
+    """Set a flag; then whether a number, `before` so far, changes before we have spun so often; both (1,) int32.
 
-    Both are the first int32 of an array. Where the number changes, we wait for as long as `grace` more looks take.
+    Where it changes, we go on for `grace` spins.
     """
-    add_one(flag.ctypes.data)
+    atomic_add(flag.ctypes.data, 1)
     address = number.ctypes.data
-    while look(address) == before and looks > 0:
-        looks -= 1
-        let_others_run()
-    for _ in range(grace if looks else 0):
-        let_others_run()
-    return looks > 0
+    while atomic_load(address) == before and spins > 0:
+        spins -= 1
+        sched_yield()
+    for _ in range(grace if spins else 0):
+        sched_yield()
+    return spins > 0

@@ -1,55 +1,95 @@
-"""numba's `njit`, for machines where compiled code cannot be kept: no folder, a full disk, damaged files."""
+"""numba's `njit` with a cache that notices every change, and that costs only time where it cannot be kept."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
+import os
+import shutil
+import sys
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 log = logging.getLogger(__name__)
 
 # The same for every function: what two of them call with the same types, such as `np.empty`, is then compiled once.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+KEPT = 2  # folders of earlier sources that stay, for who goes back and forth between them
 
 _warned = False
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with `OPTIONS`, more of them, and a cache.
-
-    A cache that cannot be used costs a warning and time, and nothing else.
-    """
-    options = {**OPTIONS, **options}
+    """`numba.njit` with `OPTIONS`, more of them, and a cache; where there is no folder for it, a warning."""
 
     def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(**{**OPTIONS, **options})(function)
         try:
-            dispatcher = numba.njit(cache=True, **options)(function)
+            dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
         except RuntimeError as error:  # neither beside the source nor in the home folder
             if "no locator available" not in str(error):
                 raise
             _warn("there is no folder to keep it in")
-            return numba.njit(**options)(function)
-        cache = dispatcher._cache
-        cache.load_overload = _forgiving(cache.load_overload)
-        cache.save_overload = _forgiving(cache.save_overload)
         return dispatcher
 
     return compiled
 
 
-def _forgiving(use: Callable[..., Any]) -> Callable[..., Any]:
+class _Location(CompileResultCacheImpl):
+    """numba's folder for a function, and in it one for all sources as they are now.
+
+    numba notices changes of a function's own file, but not of functions in other files that are compiled into it. With
+    a folder of their own, new sources can never meet old code, not even if writing was cut off half-way.
+    """
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        own = (function.__globals__.get("__package__") or "").partition(".")[0]
+        sources = "-".join(_digest(package) for package in sorted({"airline", own} - {""}))
+        self._locator._cache_path = str(Path(self._locator.get_cache_path()) / f"kernels-{sources}")
+
+
+class _Cache(FunctionCache):
     """Reading what is damaged gives nothing, so that it is compiled anew; what cannot be written is not kept."""
 
-    def attempt(*arguments: Any) -> Any:
+    _impl_class = _Location
+
+    def load_overload(self, *arguments: Any) -> Any:
         try:
-            return use(*arguments)
+            return super().load_overload(*arguments)  # type: ignore[no-untyped-call]
         except Exception as error:  # whatever unpickling a damaged file raises
             _warn(f"{type(error).__name__}: {error}")
             return None
 
-    return attempt
+    def save_overload(self, *arguments: Any) -> None:
+        try:
+            folder = Path(self.cache_path)
+            if not folder.exists():
+                others = sorted(folder.parent.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
+                for old in others[:-KEPT]:
+                    shutil.rmtree(old, ignore_errors=True)
+            super().save_overload(*arguments)  # type: ignore[no-untyped-call]
+        except Exception as error:
+            _warn(f"{type(error).__name__}: {error}")
+
+
+@cache
+def _digest(package: str) -> str:
+    """Of all sources of a package that have to do with numba."""
+    digest = hashlib.sha256()
+    for root in getattr(sys.modules.get(package), "__path__", ()):
+        for folder, folders, files in os.walk(root):
+            folders[:] = sorted(set(folders) - {"__pycache__"})
+            for name in sorted(files):
+                source = Path(folder, name).read_bytes() if name.endswith(".py") else b""
+                if b"numba" in source or b"njit" in source:
+                    digest.update(source)
+    return digest.hexdigest()[:12]
 
 
 def _warn(why: str) -> None:

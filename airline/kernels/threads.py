@@ -1,10 +1,9 @@
-"""Threads that share the work on one image, for stages whose compiled code runs without Python's lock."""
+"""A pool of threads that share the work on one image, for stages whose compiled code releases the GIL."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
 from queue import Empty, SimpleQueue
@@ -14,37 +13,38 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.kernels.atomics import all_set, set_and_watch
+from airline.kernels.atomics import set_and_watch, wait_for_all
 
 T = TypeVar("T")
-MOST = 4  # the work takes a few milliseconds: more threads cost more than they do
-LOOKS = 2000  # for the next piece of work, or for its end; some hundred nanoseconds each
-GRACE = 10  # looks until who hands work over has begun its own part, and with that lets go of Python's lock
+MOST = 4  # threads: the work takes a few milliseconds, and more cost more than they do
+SPINS = 2000  # for the next piece of work, or for its end; some hundred nanoseconds each
+GRACE = 10  # spins until who hands work over has begun its own part, and with that released the GIL
 
 
-class Team:
-    """Does a piece of work in as many parts as it has threads, the caller's included.
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
-    Args:
-        threads: how many; 1 does everything in the caller's thread.
-    """
 
-    def __init__(self, threads: int) -> None:
-        self.threads = max(1, min(threads, MOST))
+class ThreadTeam:
+    """Does a piece of work in parts on so many threads, the caller's included; by default on all cores."""
 
-    def share(self, count: int, least: int, work: Callable[[int, int], T]) -> list[T]:
+    def __init__(self, threads: int | None = None) -> None:
+        self.threads = max(1, min(cores() if threads is None else threads, MOST))
+
+    def map_range(self, count: int, least: int, work: Callable[[int, int], T]) -> list[T]:
         """Call `work(start, end)` for parts that make up `range(count)`; the answers, in order.
 
         Args:
             count: of what there is to do.
             least: parts are not smaller than this: handing one over takes some 20 microseconds.
-            work: must not depend on how the range is divided.
+            work: its result must not depend on how the range is divided.
         """
         parts = max(1, min(self.threads, count // least))
         if parts == 1:
             return [work(0, count)]
         call = _Call(work, [count * part // parts for part in range(parts + 1)])
-        _helpers().help_with(call, parts - 1)
+        _pool().help_with(call, parts - 1)
         return call.finish()
 
 
@@ -61,11 +61,12 @@ class _Call:
         self._done = np.zeros(len(bounds) - 1, np.int32)
         self._ends: SimpleQueue[None] = SimpleQueue()  # to sleep for, if need be
 
-    def take_part(self) -> NDArray[np.int32]:
-        """Do parts until none is left: the caller does those that no helper has time for.
+    def take_parts(self) -> NDArray[np.int32]:
+        """Do parts until none is left: the caller does those that no other thread has time for.
 
         Returns:
-            (1,) of which the setting to 1 tells the caller that all of ours are done.
+            (1,) the flag of our last part, which whoever called us sets: then the caller knows that all of ours are
+            done.
         """
         flag = np.zeros(1, np.int32)
         while True:
@@ -83,8 +84,8 @@ class _Call:
 
     def finish(self) -> list[Any]:
         """What there is left to do; then all answers, or an error of any part."""
-        self.take_part()[0] = 1
-        if not all_set(self._done, LOOKS):
+        self.take_parts()[0] = 1
+        if not wait_for_all(self._done, SPINS):
             for _ in self._answers:
                 self._ends.get()
         if self._errors:
@@ -92,47 +93,41 @@ class _Call:
         return self._answers
 
 
-@dataclass
-class _Helpers:
+class _Pool:
     """Threads that take part in calls; they end with the program."""
 
-    calls: SimpleQueue[_Call] = field(default_factory=SimpleQueue)
-    bell: NDArray[np.int32] = field(default_factory=lambda: np.zeros(1, np.int32))  # changes with each call
-    lock: Lock = field(default_factory=Lock)
-    threads: int = 0
+    def __init__(self) -> None:
+        self._calls: SimpleQueue[_Call] = SimpleQueue()
+        self._bell = np.zeros(1, np.int32)  # changes with each call
+        self._lock, self._threads = Lock(), 0
 
-    def help_with(self, call: _Call, parts: int) -> None:
-        with self.lock:
-            while self.threads < parts:
-                Thread(target=self._help, name="team", daemon=True).start()
-                self.threads += 1
-        for _ in range(parts):
-            self.calls.put(call)
-        self.bell += 1
+    def help_with(self, call: _Call, threads: int) -> None:
+        with self._lock:
+            while self._threads < threads:
+                Thread(target=self._run, name="team", daemon=True).start()
+                self._threads += 1
+        for _ in range(threads):
+            self._calls.put(call)
+        self._bell += 1
 
-    def _help(self) -> None:
+    def _run(self) -> None:
         flag = np.zeros(1, np.int32)
         while True:
-            before = int(self.bell[0])
-            if self.calls.empty():
-                # the flag is set without Python's lock, which the caller needs as soon as it sees it
-                if set_and_watch(flag, self.bell, before, LOOKS, GRACE):
+            before = int(self._bell[0])
+            if self._calls.empty():
+                # the flag is set without the GIL, which the caller needs as soon as it sees it
+                if set_and_watch(flag, self._bell, before, SPINS, GRACE):
                     continue
             else:
                 flag[0] = 1
-            flag = self.calls.get().take_part()
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            flag = self._calls.get().take_parts()
 
 
 @cache
-def _helpers() -> _Helpers:
-    return _Helpers()
+def _pool() -> _Pool:
+    return _Pool()
 
 
-ALONE = Team(1)
+ALONE = ThreadTeam(1)
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a fork takes no threads along
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork takes no threads along

@@ -1,4 +1,4 @@
-"""What the processor multiplies fastest."""
+"""Which instructions the processor has, for the choice of a runtime and within it."""
 
 from __future__ import annotations
 
@@ -7,28 +7,25 @@ from functools import cache
 
 import llvmlite.binding
 
-from airline.network.native.vectors import AVX2, AVX2_VNNI, AVX512_VNNI, Isa
-
-
-def has_amx() -> bool:
-    """Whether it multiplies matrices of bfloat16 numbers."""
-    return _has("amx-bf16") and _allowed("AMX")
+# Numba compiles anew for tuples of other lengths. The first one's is the number of 32-bit lanes; the second one is
+# empty without VNNI, whose instructions multiply and add at once: then the sum of two products has to fit into 16 bits,
+# and weights have 7.
+Isa = tuple[tuple[int, ...], tuple[int, ...]]
+AVX512_VNNI: Isa = ((0,) * 16, (0,))
+AVX2_VNNI: Isa = ((0,) * 8, (0,))
+AVX2: Isa = ((0,) * 8, ())
 
 
 def has_bf16() -> bool:
     """Whether it multiplies bfloat16 numbers; OpenVINO also offers to imitate it, three times slower than float32."""
-    other_than_x86 = not _has("sse2")  # there OpenVINO is believed
-    return other_than_x86 or has_amx() or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
-
-
-def has_vnni() -> bool:
-    """Whether it multiplies and adds 8-bit numbers in one instruction, as most x86 laptops have since 2020."""
-    return (_has("avx512vnni") or _has("avxvnni")) and _allowed("VNNI", "BF16", "FP16", "AMX")
+    if not _has("sse2"):  # other than x86, where OpenVINO is believed
+        return True
+    return (_has("amx-bf16") and _allowed("AMX")) or (_has("avx512bf16") and _allowed("BF16", "FP16", "AMX"))
 
 
 def vector_instructions() -> Isa | None:
-    """Which of its vector instructions the runtime "native" uses; None where it has none of them."""
-    if has_vnni():
+    """Which of its SIMD instructions the runtime "native" uses; None where it has none of them."""
+    if (_has("avx512vnni") or _has("avxvnni")) and _allowed("VNNI", "BF16", "FP16", "AMX"):
         wide = _has("avx512vnni") and _has("avx512bw") and _allowed("AVX512", "AVX10")
         return AVX512_VNNI if wide else AVX2_VNNI
     return AVX2 if _has("avx2") and _has("fma") and _allowed("AVX") else None

@@ -1,4 +1,4 @@
-"""Where the edge network runs: vector code of our own, OpenVINO, torch, CUDA. Every one gives the same edges."""
+"""Where the edge network runs: SIMD code of our own, OpenVINO, torch, CUDA. Every one gives the same edges."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.config import Runtime
-from airline.errors import ConfigError
+from airline.errors import ConfigError, from_extra
 from airline.image import Gray
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
-        runtime: "native" (8-bit numbers on x86), "openvino" (8-bit numbers or bfloat16 where the processor is made for
-            them, else float32), "torch" (float32 on the CPU), "cuda" (half precision), or "auto": CUDA where there is
-            such a device, else the first of these that fits the processor and the network.
+        runtime: "native" (8-bit numbers on x86), "openvino" (bfloat16 where the processor is made for it, else
+            float32), "torch" (float32 on the CPU), "cuda" (half precision), or "auto": CUDA where there is such a
+            device, else the first of these that is here and fits the processor and the network.
         threads: how many of the processor's cores "native" and OpenVINO work on; all by default.
 
     Raises:
@@ -47,27 +47,19 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
     """
     if runtime == "auto":
         runtime = _best(weights)
+    if runtime in ("torch", "cuda"):
+        from airline.network.torch_runtimes import CudaNetwork, TorchNetwork
+
+        return CudaNetwork(weights) if runtime == "cuda" else TorchNetwork(weights)
+    if not isinstance(weights, (str, Path)):
+        raise ConfigError(f"the runtime {runtime} takes weights from a file: save the network, or use torch")
     if runtime == "native":
-        if not isinstance(weights, (str, Path)):
-            raise ConfigError("the runtime native takes weights from a file: save the network, or use torch")
         from airline.network.native.network import NativeNetwork
 
         return NativeNetwork(weights, threads)
-    if runtime == "openvino":
-        if not isinstance(weights, (str, Path)):
-            raise ConfigError("OpenVINO takes weights from a file: save the network, or use the runtime torch")
-        try:
-            from airline.network.openvino_cpu import OpenVinoNetwork
-        except ImportError as error:
-            raise ConfigError(f"OpenVINO cannot be used ({error}): install openvino, or use --runtime torch") from error
-        return OpenVinoNetwork(weights, threads)
-    if runtime == "cuda":
-        from airline.network.torch_cuda import CudaNetwork
-
-        return CudaNetwork(weights)
-    from airline.network.torch_cpu import TorchNetwork
-
-    return TorchNetwork(weights)
+    with from_extra("openvino"):
+        from airline.network.openvino_cpu import OpenVinoNetwork
+    return OpenVinoNetwork(weights, threads)
 
 
 def _best(weights: str | Path | UNet) -> Runtime:

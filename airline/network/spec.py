@@ -5,6 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+Size = Annotated[int, Meta(ge=1, le=1024)]
+SIZES = 4  # of images for which a runtime keeps what it has ready
 
 
 @dataclass(frozen=True)
@@ -19,10 +26,10 @@ class UNetSpec:
             to nothing, and let a small network see past noise.
     """
 
-    widths: tuple[int, ...] = (16, 16, 32, 64, 64)
-    convs: int = 1
-    unshuffle: int = 2
-    smoothed: int = 2
+    widths: Annotated[tuple[Size, ...], Meta(min_length=1, max_length=8)] = (16, 16, 32, 64, 64)
+    convs: Size = 1
+    unshuffle: Size = 2
+    smoothed: Annotated[int, Meta(ge=0, le=8)] = 2
 
     @property
     def levels(self) -> int:
@@ -33,6 +40,11 @@ class UNetSpec:
     def stride(self) -> int:
         """Image sides must be multiples of this."""
         return int(self.unshuffle * 2 ** (self.levels - 1))
+
+    def folded_size(self, height: int, width: int) -> tuple[int, int]:
+        """Rows and columns of the first level for an image of a size, filled up to the stride."""
+        rows, columns = (-(-side // self.stride) * self.stride // self.unshuffle for side in (height, width))
+        return rows, columns
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of every tensor of the network, by its name."""
@@ -56,15 +68,8 @@ class UNetSpec:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> UNetSpec:
-        """The shape that a header tells; raises KeyError, TypeError and ValueError."""
-        found = {field.name: json.loads(metadata[field.name]) for field in fields(cls)}
-        spec = cls(**{**found, "widths": tuple(found["widths"])})
-        sizes = (*spec.widths, spec.convs, spec.unshuffle)
-        if not all(type(size) is int for size in (*sizes, spec.smoothed)):
-            raise ValueError("its network shape is not made of whole numbers")
-        if not all(1 <= size <= 1024 for size in sizes) or not 1 <= spec.levels <= 8 or not 0 <= spec.smoothed <= 8:
-            raise ValueError("its network shape is out of range")
-        return spec
+        """The shape that a header tells; raises KeyError, ValueError, RecursionError and msgspec.ValidationError."""
+        return msgspec.convert({field.name: json.loads(metadata[field.name]) for field in fields(cls)}, cls)
 
 
 SPECS = {

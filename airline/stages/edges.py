@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,12 +29,11 @@ class EdgeDetector(Protocol):
 
 
 class UNetEdges:
-    """The learned edge detector: a U-Net with weights from a safetensors file."""
+    """The learned edge detector: a U-Net; arguments and errors of `airline.network.runtimes.open_network`."""
 
     def __init__(
         self, weights: str | Path | UNet = "default", runtime: Runtime = "auto", threads: int | None = None
     ) -> None:
-        """Load the network; arguments and errors of `airline.network.runtimes.open_network`."""
         self.network: EdgeNetwork = open_network(weights, runtime, threads)
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
@@ -42,18 +42,20 @@ class UNetEdges:
 
 
 class CannyEdges:
-    """OpenCV's Canny as an edge detector: binary edges, no learning (Canny 1986)."""
+    """OpenCV's Canny (1986): edges of 0 or 1, and no learning.
+
+    Args:
+        low, high: hysteresis thresholds of the gradient.
+        sigma: of the Gaussian blur before it, px; 0 for none.
+    """
 
     def __init__(self, low: float = 50.0, high: float = 150.0, sigma: float = 1.0) -> None:
-        """Set the two hysteresis thresholds of the gradient and the Gaussian blur before it, px (0: none)."""
         if not 0 <= low <= high or sigma < 0:
             raise ConfigError("Canny needs 0 <= low <= high and sigma >= 0")
         self.low, self.high, self.sigma = low, high, sigma
 
     def detect(self, gray: Gray) -> NDArray[np.float32]:
-        """Edges as 0 or 1."""
-        import cv2
-
+        """See `EdgeDetector.detect`."""
         image = to_uint8(gray)
         if self.sigma > 0:
             image = cv2.GaussianBlur(image, (0, 0), self.sigma)
@@ -62,16 +64,15 @@ class CannyEdges:
 
 
 class ModuleEdges:
-    """Any torch module that maps an image to edge logits, for example kornia's DexiNed with the user's weights."""
+    """Any torch module that maps an image to edge logits, for example kornia's DexiNed with the user's weights.
+
+    Args:
+        module: maps (1, channels, H, W) float to logits (1, 1, H, W), or to a list of such whose last counts.
+        channels: 1, or 3 for networks that want colour; the grey image is repeated.
+        scale: factor from grey levels to what the module expects.
+    """
 
     def __init__(self, module: torch.nn.Module, channels: int = 1, scale: float = 1 / 255) -> None:
-        """Wrap a module.
-
-        Args:
-            module: maps (1, channels, H, W) float to logits (1, 1, H, W), or to a list of such whose last counts.
-            channels: 1, or 3 for networks that want colour; the grey image is repeated.
-            scale: factor from grey levels to what the module expects.
-        """
         self._module = module.eval()
         self._channels, self._scale = channels, scale
 

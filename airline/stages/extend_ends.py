@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from airline.kernels.compiled import njit
+from airline.kernels.sampling import into_image
 from airline.stages.score_parts import bilinear, room_for_samples, strength
 
 FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian
@@ -13,9 +14,15 @@ SHARE = 0.25  # of a line's length that each end may move on: what a short line 
 
 
 @njit()
-def reach(moments, owner, support, max_reach, start, end):  # type: ignore[no-untyped-def]
-    """Move the end points of the surviving parts from `start` to `end` to where the edge map falls to half the line's
+def extend_ends(moments, owner, support, max_reach, start, end):  # type: ignore[no-untyped-def]
+    """Move the end points of the surviving parts among `start` to `end` to where the edge map falls to half the line's
     mean.
+
+    Args:
+        moments: (P, 10) float64 parts, whose end points are changed.
+        owner: (P,) int64 the part that each became one with.
+        support: (H, W) float32 edge map.
+        max_reach: px.
     """
     height, width = support.shape
     room = room_for_samples(support)
@@ -34,5 +41,5 @@ def reach(moments, owner, support, max_reach, start, end):  # type: ignore[no-un
             while t < farthest and bilinear(support, x + (t + STEP) * ux, y + (t + STEP) * uy) > level:
                 t += STEP
             t -= FALL
-            moments[i, 6 + 2 * side] = min(max(x + t * ux, -0.5), width - 0.5)
-            moments[i, 7 + 2 * side] = min(max(y + t * uy, -0.5), height - 0.5)
+            moments[i, 6 + 2 * side] = into_image(x + t * ux, width)
+            moments[i, 7 + 2 * side] = into_image(y + t * uy, height)

@@ -8,15 +8,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
+from airline.config import FitConfig
 from airline.kernels.compiled import njit
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.threads import ALONE, ThreadTeam
 from airline.lines import LineSet
-from airline.stages.extend_ends import reach
-from airline.stages.join_collinear import join
+from airline.stages.extend_ends import extend_ends
+from airline.stages.join_collinear import join_collinear
 from airline.stages.pixels import EdgePixels
-from airline.stages.score_parts import line_scores, score
-from airline.stages.split_regions import fit_regions, residual
+from airline.stages.score_parts import line_scores, score_parts
+from airline.stages.split_regions import residual, split_regions
 
 
 class LineFitter(Protocol):
@@ -42,47 +42,24 @@ class LineFitter(Protocol):
 class TotalLeastSquaresFitter:
     """Weighted total least squares over sub-pixel ridge positions; weights are edge probabilities.
 
-    A region that bends more than `max_deviation` is cut at its farthest pixel from the chord and each part is fitted
-    alone (Ramer 1972, Douglas and Peucker 1973). Neighbouring collinear lines are then joined: pixel moments add up,
-    so a joint fit costs nothing. End points start at the projections of the outermost pixels and move on along the
-    line while the edge map stays above half the line's mean strength: pixels near corners mix two orientations and
-    belong to no region, yet the line runs on to the corner.
-
-    Attributes:
-        min_length: shorter lines are dropped, px.
-        max_deviation: a region may leave its chord by this much, px.
-        max_gap: collinear lines that end within this distance of each other are joined, px; 0 joins none.
-        max_offset: joined lines may miss each other's axis by this much at the gap, px.
-        max_angle: and differ in direction by this much, degrees.
-        max_reach: end points move on along the edge by at most this much, px, and a quarter of the line's length.
-        min_score: lines with a lower score (`airline.stages.score_parts`) are dropped, in [0, 1].
-        team: threads that share the work.
+    A region that bends is cut at its farthest pixel from the chord and each part is fitted alone (Ramer 1972, Douglas
+    and Peucker 1973). Neighbouring collinear lines are then joined: pixel moments add up, so a joint fit costs nothing.
+    End points start at the projections of the outermost pixels and move on along the line while the edge map stays
+    above half the line's mean strength: pixels near corners mix two orientations and belong to no region, yet the line
+    runs on to the corner.
     """
 
-    min_length: float = 8.0
-    max_deviation: float = 2.5
-    max_gap: float = 5.0
-    max_offset: float = 1.0
-    max_angle: float = 8.0
-    max_reach: float = 14.0
-    min_score: float = 0.15
-    team: Team = field(default=ALONE, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if (
-            min(self.min_length, self.max_gap, self.max_offset, self.max_angle, self.max_reach, self.min_score) < 0
-            or self.max_deviation <= 0
-        ):
-            raise ConfigError("fit lengths, angles and scores must not be negative and max_deviation must be positive")
+    config: FitConfig = field(default_factory=FitConfig)
+    team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def fit(
         self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
     ) -> tuple[LineSet, NDArray[np.int32]]:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
-        rows, bounds, moments = fit_regions(edge.positions, edge.weights, order, offsets, self.max_deviation, self.team)
-        merged = join(moments, self.max_gap, self.max_offset, np.cos(np.deg2rad(self.max_angle)))
-        return self.choose(edge.support, descriptors, rows, bounds, moments, merged)
+        parts = split_regions(edge.positions, edge.weights, order, offsets, self.config.max_deviation, self.team)
+        merged = join_collinear(parts[2], self.config)
+        return self.choose(edge.support, descriptors, *parts, merged)
 
     def choose(
         self,
@@ -98,18 +75,18 @@ class TotalLeastSquaresFitter:
         Args:
             support: (H, W) the edge map.
             descriptors: (M, C) of all pixels.
-            rows, bounds, moments: the parts, see `split_regions.fit_regions`; their end points are changed.
-            merged: the part that each part became one with, see `airline.stages.join_collinear.join`.
+            rows, bounds, moments: the parts, see `split_regions`; their end points are changed.
+            merged: the part that each part became one with, see `join_collinear`.
         """
-        scores = np.empty(len(moments), np.float32)
+        config, scores = self.config, np.empty(len(moments), np.float32)
 
-        def extend(start: int, end: int) -> None:
-            reach(moments, merged, support, self.max_reach, start, end)
-            score(moments, merged, support, scores, start, end)
+        def extend_and_score(start: int, end: int) -> None:
+            extend_ends(moments, merged, support, config.max_reach, start, end)
+            score_parts(moments, merged, support, scores, start, end)
 
-        self.team.share(len(moments), 32, extend)
-        lines_of, segments, scores, residuals = _choose(moments, merged, scores, self.min_length, self.min_score)
-        labels, means = vote(rows, bounds, lines_of, descriptors, len(segments))
+        self.team.map_range(len(moments), 32, extend_and_score)
+        lines_of, segments, scores, residuals = _choose(moments, merged, scores, config.min_length, config.min_score)
+        labels, means = _vote(rows, bounds, lines_of, descriptors, len(segments), _channels(descriptors))
         return LineSet(segments, scores, means, residuals), labels
 
 
@@ -130,13 +107,18 @@ class PaperFitter:
         scores = line_scores(edge.support, segments.reshape(-1, 4))
         numbers = np.arange(len(segments), dtype=np.int32)
         bounds = np.stack([offsets[:-1], offsets[1:]], axis=1)
-        _, means = vote(order, bounds, numbers, descriptors, len(segments))
+        _, means = _vote(order, bounds, numbers, descriptors, len(segments), _channels(descriptors))
         return LineSet(segments, scores, means), regions
+
+
+def _channels(descriptors: NDArray[np.float32]) -> tuple[int, ...]:
+    """(0, 1, ..., C - 1): a tuple, since numba unrolls loops over those."""
+    return tuple(range(descriptors.shape[1]))
 
 
 @njit()
 def group(labels):  # type: ignore[no-untyped-def]
-    """Rows sorted by label, and where each label's rows begin: label k owns `order[offsets[k]:offsets[k + 1]]`.
+    """Rows sorted by (M,) int32 label: order, (M,) int64, of which label k owns `order[offsets[k]:offsets[k + 1]]`.
 
     Rows of label -1 come first; all keep their order.
     """
@@ -157,33 +139,21 @@ def group(labels):  # type: ignore[no-untyped-def]
     return order, offsets[1:].copy()
 
 
-def vote(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int64],
-    lines_of: NDArray[np.int32],
-    descriptors: NDArray[np.float32],
-    count: int,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+@njit()
+def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
     """Line of each pixel by its part, and the mean descriptor of each line's pixels.
 
     Args:
-        rows: (K,) pixels, those of a part together.
-        bounds: (P, 2) where each part begins and ends among them.
-        lines_of: (P,) line of each part, -1 for none.
-        descriptors: (M, C) of all pixels.
+        rows: (K,) int64 pixels, those of a part together.
+        bounds: (P, 2) int64 where each part begins and ends among them.
+        lines_of: (P,) int32 line of each part, -1 for none.
+        descriptors: (M, C) float32 of all pixels.
         count: N, number of lines.
+        channels: see `_channels`.
 
     Returns:
         (M,) int32, -1 for none, and (N, C) float32 unit rows.
     """
-    channels = tuple(range(descriptors.shape[1]))
-    labels, means = _vote(rows, bounds, lines_of, descriptors, count, channels)
-    return labels, means
-
-
-@njit()
-def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
-    """`channels` is (0, 1, ...), a tuple since loops over tuples unroll."""
     labels = np.full(len(descriptors), -1, np.int32)
     sums = np.zeros((count, len(channels)), np.float32)
     for part in range(len(lines_of)):
@@ -208,7 +178,7 @@ def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore
 
 @njit()
 def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
-    """The line number of each part (-1: none); segments, scores and residuals of the survivors that are long and sure
+    """(P,) int32 line of each part, -1 for none; segments, scores and residuals of the survivors that are long and sure
     enough.
     """
     count = len(moments)

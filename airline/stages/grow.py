@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
+from airline.config import GrowConfig
 from airline.kernels.compiled import njit
 from airline.stages.pixels import EdgePixels
 
@@ -21,18 +21,12 @@ class RegionGrower:
     the arguments.
 
     Attributes:
-        similarity: T in [0, 1].
-        min_pixels: m; regions with fewer pixels are dropped (their pixels stay used).
+        config: T and m; pixels of regions that are dropped stay used.
         seed_threshold: only pixels of at least this weight start a region.
     """
 
-    similarity: float
-    min_pixels: int
+    config: GrowConfig = field(default_factory=GrowConfig)
     seed_threshold: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.similarity <= 1 or self.min_pixels < 1:
-            raise ConfigError("region grow needs a similarity in [0, 1] and at least 1 pixel per region")
 
     def grow(self, edge: EdgePixels, descriptors: NDArray[np.float32]) -> NDArray[np.int32]:
         """Region of each edge pixel.
@@ -47,17 +41,10 @@ class RegionGrower:
         Raises:
             ValueError: the pixels are not in raster order.
         """
-        labels: NDArray[np.int32] = _grow(
-            edge.support.shape,
-            np.dtype(np.uint16 if edge.support.shape[1] < 1 << 16 else np.uint32),
-            edge.pixels,
-            edge.weights,
-            descriptors,
-            np.float32(self.seed_threshold),
-            self.similarity,
-            self.min_pixels,
-            tuple(range(descriptors.shape[1])),
-        )
+        shape, least = edge.support.shape, np.float32(self.seed_threshold)
+        kind = np.dtype(np.uint16 if shape[1] < 1 << 16 else np.uint32)
+        options = self.config.similarity, self.config.min_pixels, tuple(range(descriptors.shape[1]))
+        labels: NDArray[np.int32] = _grow(shape, kind, edge.pixels, edge.weights, descriptors, least, *options)
         return labels
 
 
@@ -66,7 +53,16 @@ ONE, TWO = np.uint64(1), np.uint64(2)
 
 @njit()
 def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
-    """`kind` of number counts the pixels of a row; `channels` is (0, 1, ...), as loops over tuples unroll."""
+    """Labels, (M,) int32.
+
+    Args:
+        shape: (H, W).
+        kind: dtype that holds the number of a row's pixels.
+        pixels: (M, 2) int32 (x, y).
+        weights: (M,) float32.
+        descriptors: (M, C) float32.
+        channels: (0, 1, ..., C - 1), as loops over tuples unroll.
+    """
     height, width = shape
     count = len(pixels)
     labels = np.full(count, -1, np.int32)

@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.config import FitConfig
 from airline.kernels.compiled import njit
 from airline.stages.split_regions import principal
 
 CELL = 32.0  # px, side of the cells in which end points are looked up
 
 
-def join(moments: NDArray[np.float64], max_gap: float, max_offset: float, min_cos: float) -> NDArray[np.int64]:
+def join_collinear(moments: NDArray[np.float64], config: FitConfig) -> NDArray[np.int64]:
     """Join collinear neighbours, longest first.
 
     Args:
-        moments: (N, 10) float64 parts; those that others became one with are changed.
-        max_gap, max_offset: px, see `TotalLeastSquaresFitter`.
-        min_cos: cosine of the largest angle between the two.
+        moments: (P, 10) float64 parts; those that others became one with are changed.
+        config: how far apart they may be.
 
     Returns:
-        (N,) int64 the part that each part became one with, itself for most.
+        (P,) int64 the part that each part became one with, itself for most.
     """
     owner = np.arange(len(moments))
-    if max_gap <= 0 or not len(moments):
-        return owner
-    lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
-    _join(moments, np.argsort(-lengths, kind="stable"), owner, max_gap, max_offset, min_cos)
+    if config.max_gap > 0 and len(moments):
+        lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
+        min_cos = np.cos(np.deg2rad(config.max_angle))
+        _join(moments, np.argsort(-lengths, kind="stable"), owner, config.max_gap, config.max_offset, min_cos)
     return owner
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
+from airline.config import OrientationConfig
 from airline.image import Gray, to_uint8
 from airline.kernels.compiled import njit
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.threads import ALONE, ThreadTeam
 
 
 class OrientationDetector(Protocol):
@@ -53,39 +54,29 @@ BLOCK = 256  # pixels that are described at a time
 
 @dataclass(frozen=True)
 class LineKernelOrientation:
-    """Correlation of the edge map with line kernels, then L2 normalisation (equation 2 of the AirLine paper).
+    """Correlation of the edge map with line kernels, then L2 normalisation (equation 2 of the AirLine paper)."""
 
-    Attributes:
-        channels: N, number of kernels; 2 gives the paper's ablation with 0 and 90 degrees only.
-        kernel_size: side of the kernels, odd, px.
-        subtract_mean: take the mean over the channels away before normalising, as the paper's released code does.
-        team: threads that share the work.
-    """
+    config: OrientationConfig = field(default_factory=OrientationConfig)
+    team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
-    channels: int = 6
-    kernel_size: int = 5
-    subtract_mean: bool = True
-    team: Team = field(default=ALONE, repr=False, compare=False)
-    _taps: NDArray[np.int32] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.channels < 2 or self.kernel_size < 3 or self.kernel_size % 2 == 0:
-            raise ConfigError("orientation needs at least 2 channels and an odd kernel size of at least 3")
-        taps = np.argwhere(line_kernels(self.channels, self.kernel_size))[:, 1:] - self.kernel_size // 2
-        shaped = taps.reshape(self.channels, self.kernel_size, 2).astype(np.int32)
-        object.__setattr__(self, "_taps", shaped)
+    @cached_property
+    def _taps(self) -> NDArray[np.int32]:
+        """(channels, kernel_size, 2) places (y, x) of each line's pixels from the centre, px."""
+        channels, size = self.config.channels, self.config.kernel_size
+        taps = np.argwhere(line_kernels(channels, size))[:, 1:] - size // 2
+        return taps.reshape(channels, size, 2).astype(np.int32)
 
     def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Descriptors at given pixels; the image itself is not looked at."""
         height, width = edges.shape
-        offsets = tuple(tuple(line) for line in self._taps[:, :, 0] * width + self._taps[:, :, 1])
-        described = np.empty((len(pixels), self.channels), np.float32)
-        flat, taps, subtract_mean = edges.ravel(), self._taps, self.subtract_mean
+        taps, flat, subtract_mean = self._taps, edges.ravel(), self.config.subtract_mean
+        offsets = tuple(tuple(line) for line in taps[:, :, 0] * width + taps[:, :, 1])
+        described = np.empty((len(pixels), len(taps)), np.float32)
 
         def describe(start: int, end: int) -> None:
             _correlate(flat, height, width, pixels[start:end], taps, offsets, subtract_mean, described[start:end])
 
-        self.team.share(len(pixels), 4 * BLOCK, describe)
+        self.team.map_range(len(pixels), 4 * BLOCK, describe)
         return described
 
 
@@ -105,7 +96,14 @@ class GradientOrientation:
 
 @njit()
 def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean, out):  # type: ignore[no-untyped-def]
-    """`offsets` are the taps (y, x) as places in the flat map, per channel; tuples, since loops over those unroll."""
+    """Set `out`, (M, N) float32 descriptors.
+
+    Args:
+        flat: (H * W,) float32 edge map.
+        pixels: (M, 2) int32 (x, y).
+        taps: (N, size, 2) int32 (y, x) from the pixel.
+        offsets: the same as places in the flat map; tuples, since loops over those unroll.
+    """
     work = np.empty((len(offsets) + 2) * BLOCK, np.float32)
     for start in range(0, len(pixels), BLOCK):
         count = min(BLOCK, len(pixels) - start)
@@ -119,7 +117,7 @@ def _correlate(flat, height, width, pixels, taps, offsets, subtract_mean, out): 
 
 @njit()
 def _sums(flat, height, width, pixels, start, count, taps, offsets, work):  # type: ignore[no-untyped-def]
-    """Sums along each line through each pixel, line by line; nothing is beyond the border."""
+    """Set the first N rows of BLOCK in `work` to the sums along each line; there is nothing beyond the border."""
     half = taps.shape[1] // 2
     for k in range(count):
         x, y = pixels[start + k, 0], pixels[start + k, 1]
@@ -142,7 +140,7 @@ def _sums(flat, height, width, pixels, start, count, taps, offsets, work):  # ty
 
 @njit(fastmath={"contract"})
 def _scales(count, offsets, subtract_mean, work):  # type: ignore[no-untyped-def]
-    """What is to be subtracted from each pixel's sums, and what they are to be multiplied by."""
+    """Set the next two rows of `work` to what to subtract from each pixel's sums, and then to multiply by."""
     channels = len(offsets)
     share = np.float32(1 / channels) if subtract_mean else np.float32(0)
     for k in range(count):

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError
+from airline.config import EdgeConfig
 from airline.kernels.compiled import njit
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.threads import ALONE, ThreadTeam
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class PixelSelector(Protocol):
 
 @dataclass(frozen=True)
 class ThresholdPixels:
-    """Every pixel at or above a threshold, at its integer position, described by the binary map, as in the paper."""
+    """Every pixel at or above the threshold, at its integer position, described by the binary map, as in the paper."""
 
-    threshold: float
+    config: EdgeConfig = field(default_factory=EdgeConfig)
 
     def select(self, edges: NDArray[np.float32]) -> EdgePixels:
-        """Edge pixels of an (H, W) float32 edge probability map."""
-        support = (edges >= self.threshold).astype(np.float32)
+        """See `PixelSelector.select`."""
+        support = (edges >= self.config.threshold).astype(np.float32)
         y, x = np.nonzero(support)
         pixels = np.stack([x, y], axis=1).astype(np.int32)
         return EdgePixels(support, pixels, pixels.astype(np.float32), edges[y, x])
@@ -59,29 +59,21 @@ class RidgePixels:
     structures").
 
     A pixel is kept where the quadratic approximation of the smoothed map has its maximum across the ridge within
-    the pixel. Smoothing makes one ridge of binary and of several-pixel-wide edges too.
-
-    Attributes:
-        threshold: edge pixels have at least this probability.
-        smoothing: side of the Gaussian window, odd, px; 1 smooths nothing.
-        team: threads that share the work.
+    the pixel. Smoothing, of 3 px where the settings say "auto", makes one ridge of binary and of several-pixel-wide
+    edges too.
     """
 
-    threshold: float
-    smoothing: int = 3
-    team: Team = field(default=ALONE, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.smoothing < 1 or self.smoothing % 2 == 0:
-            raise ConfigError("edge smoothing must be an odd number of pixels")
+    config: EdgeConfig = field(default_factory=EdgeConfig)
+    team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def select(self, edges: NDArray[np.float32]) -> EdgePixels:
-        """Edge pixels of an (H, W) float32 edge probability map."""
+        """See `PixelSelector.select`."""
+        side = 3 if self.config.smoothing == "auto" else self.config.smoothing
         smooth = edges
-        if self.smoothing > 1:
-            smooth = cv2.GaussianBlur(edges, (self.smoothing, self.smoothing), 0, borderType=cv2.BORDER_REPLICATE)
-        threshold = np.float32(self.threshold)
-        parts = self.team.share(len(edges), 64, lambda start, end: _ridge(smooth, edges, threshold, start, end))
+        if side > 1:
+            smooth = cv2.GaussianBlur(edges, (side, side), 0, borderType=cv2.BORDER_REPLICATE)
+        threshold = np.float32(self.config.threshold)
+        parts = self.team.map_range(len(edges), 64, lambda start, end: _ridge(smooth, edges, threshold, start, end))
         pixels, positions, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return EdgePixels(smooth, pixels, positions, weights)
 
@@ -94,7 +86,10 @@ REACH = np.float32(0.6)  # px: half a pixel, and some more, so that diagonal rid
 
 @njit()
 def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def]
-    """Ridge pixels of the rows from `start` to `end`, their positions and weights."""
+    """Ridge pixels of rows `start` to `end`: (M, 2) int32, positions (M, 2) float32 and weights (M,) float32.
+
+    `smooth` and `edges` are (H, W) float32.
+    """
     height, width = edges.shape
     capacity = 0
     for y in range(start, end):
@@ -132,9 +127,13 @@ def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def
 
 @njit(fastmath={"nsz", "arcp", "contract"})
 def _ridge_steps(rows, edges, threshold, steps):  # type: ignore[no-untyped-def]
-    """From each pixel of the middle one of three rows to the ridge: x, y, the greater of both, px; far where none is.
+    """Set `steps`, (3, W) float32: from each pixel to the ridge in x and y and the greater of both, px; 2 for none.
 
-    Without branches, so that it is compiled into vector instructions.
+    Without branches, so that it compiles to SIMD instructions.
+
+    Args:
+        rows: (3, W + 2) float32, the row and its neighbours with a margin.
+        edges: (W,) float32 the row before smoothing.
     """
     above, here, below = rows[0], rows[1], rows[2]
     a0, a1, a2 = above[:-2], above[1:-1], above[2:]

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from airline.errors import ConfigError
+from airline.config import RefineConfig
 from airline.image import Gray, to_uint8
 from airline.kernels.compiled import njit
-from airline.kernels.sampling import blend, blocks_of, lay
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.sampling import interpolate, into_image, pack_neighbours, place_samples
+from airline.kernels.threads import ALONE, ThreadTeam
 from airline.lines import LineSet
 
 CHUNK = 8.0  # px, length over which profiles are averaged
@@ -32,19 +32,10 @@ TWO, THREE, FOUR, FIVE = (np.uint64(value) for value in (2, 3, 4, 5))
 
 @dataclass(frozen=True)
 class ImageRefiner:
-    """Moves lines to the extremum of the grey levels' slope across them.
+    """Moves lines to the extremum of the grey levels' slope across them."""
 
-    Attributes:
-        max_shift: a line of which an end point would move by more than this stays where it is, px; 0 moves none.
-        team: threads that share the work.
-    """
-
-    max_shift: float = 0.5
-    team: Team = field(default=ALONE, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.max_shift < 0:
-            raise ConfigError("refine needs a max_shift of at least 0 px")
+    config: RefineConfig = field(default_factory=RefineConfig)
+    team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def refine(self, lines: LineSet, gray: Gray) -> LineSet:
         """The lines at their refined places.
@@ -53,20 +44,19 @@ class ImageRefiner:
             lines: N lines, px.
             gray: (H, W) uint8 or uint16, the image.
         """
-        if self.max_shift == 0:
-            return lines
         height, width = gray.shape
-        segments = lines.segments.copy()
-        if min(height, width) > 2 * MARGIN:
-            blocks, most = blocks_of(to_uint8(gray)), self.max_shift
-            self.team.share(
-                len(segments), 32, lambda start, end: _refine(blocks, width, height, segments[start:end], most)
-            )
+        if self.config.max_shift == 0 or min(height, width) <= 2 * MARGIN:
+            return lines
+        segments, packed, most = lines.segments.copy(), pack_neighbours(to_uint8(gray)), self.config.max_shift
+        self.team.map_range(
+            len(segments), 32, lambda start, end: _refine(packed, width, height, segments[start:end], most)
+        )
         return replace(lines, segments=segments)
 
 
 @njit()
-def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-untyped-def]
+def _refine(packed, width, height, segments, max_shift):  # type: ignore[no-untyped-def]
+    """Move (N, 2, 2) float32 segments in place; the image as of `pack_neighbours`."""
     longest = np.hypot(width, height)  # what is longer lies outside
     most = ACROSS * (int(longest) + 1)
     places, work = np.empty(most, np.int32), np.empty(2 * most, np.float32)
@@ -86,8 +76,8 @@ def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-unty
         for j in range(ACROSS):
             across = j - 0.5 * (ACROSS - 1)
             x, y = np.float32(x0 - across * uy), np.float32(y0 + across * ux)
-            lay(width, height, x, y, dx, dy, j * count, count, places, work)
-        blend(blocks, ACROSS * count, places, work)
+            place_samples(width, height, x, y, dx, dy, j * count, count, places, work)
+        interpolate(packed, ACROSS * count, places, work)
         # normal equations of offset = shift + turn * t, t from -1/2 to 1/2 along the line; the priors make them regular
         s00, s01, s11, m0, m1 = PRIOR**-2.0, 0.0, 0.25 * PRIOR**-2.0, 0.0, 0.0
         for k in range(chunks):
@@ -105,8 +95,8 @@ def _refine(blocks, width, height, segments, max_shift):  # type: ignore[no-unty
         if abs(shift) + 0.5 * abs(turn) <= max_shift:
             for end in range(2):
                 offset = shift + (end - 0.5) * turn
-                line[end, 0] = min(max(line[end, 0] - offset * uy, -0.5), width - 0.5)
-                line[end, 1] = min(max(line[end, 1] + offset * ux, -0.5), height - 0.5)
+                line[end, 0] = into_image(line[end, 0] - offset * uy, width)
+                line[end, 1] = into_image(line[end, 1] + offset * ux, height)
 
 
 @njit(inline="always")
@@ -129,7 +119,8 @@ def _chunk(levels, count, start, end):  # type: ignore[no-untyped-def]
     """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told.
 
     Args:
-        levels: grey levels, `count` samples along the line at -2.5 px across it, then as many at -1.5 px, to 2.5 px.
+        levels: float32 grey levels, `count` samples along the line at -2.5 px across it, then as many at -1.5 px, to
+            2.5 px.
         start, end: the chunk's samples.
     """
     if end - start < 2:

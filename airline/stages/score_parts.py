@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from airline.kernels.compiled import njit
-from airline.kernels.sampling import lay, total_of
+from airline.kernels.sampling import place_samples, sum_samples
 
 SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
 
@@ -21,8 +21,8 @@ def line_scores(support, ends):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def score(moments, owner, support, scores, start, end):  # type: ignore[no-untyped-def]
-    """Set the scores of the surviving parts (rows as in `airline.stages.split_regions`) from `start` to `end`."""
+def score_parts(moments, owner, support, scores, start, end):  # type: ignore[no-untyped-def]
+    """Set the scores, (P,) float32, of the surviving parts among `start` to `end`; arguments as of `extend_ends`."""
     room = room_for_samples(support)
     for i in range(start, end):
         if owner[i] == i:
@@ -42,7 +42,7 @@ def line_score(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
 
 @njit()
 def room_for_samples(support):  # type: ignore[no-untyped-def]
-    """What `strength` needs: the map's values in a row, and arrays for `sampling` that hold any line."""
+    """What `strength` needs: the (H * W,) map, and arrays for `airline.kernels.sampling` that hold any line."""
     height, width = support.shape
     most = int(np.hypot(width, height)) + 2
     return support.reshape(height * width), np.empty(most, np.int32), np.empty(2 * most, np.float32)
@@ -58,8 +58,8 @@ def strength(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
     if inside and min(height, width) > 1:
         values, places, work = room
         x, y = np.float32(x0), np.float32(y0)
-        lay(width, height, x, y, np.float32(dx), np.float32(dy), 0, samples, places, work)
-        return total_of(values, width, 0, samples, places, work) / samples
+        place_samples(width, height, x, y, np.float32(dx), np.float32(dy), 0, samples, places, work)
+        return sum_samples(values, width, 0, samples, places, work) / samples
     total = 0.0
     for k in range(samples):
         total += bilinear(support, x0 + k * dx, y0 + k * dy)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
-from airline.kernels.threads import ALONE, Team
+from airline.kernels.threads import ALONE, ThreadTeam
 
 MARGIN = 4  # pixels at each end of a region at which it is not cut
-WAITING = 63  # parts of a region that are not fitted yet, at most; see `fit_regions`
+WAITING = 63  # parts of a region that are not fitted yet, at most; see `split_regions`
 
 
 @njit()
@@ -42,13 +42,13 @@ def residual(part):  # type: ignore[no-untyped-def]
     return np.sqrt(max(0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy), 0.0))
 
 
-def fit_regions(
+def split_regions(
     positions: NDArray[np.float32],
     weights: NDArray[np.float32],
     order: NDArray[np.int64],
     offsets: NDArray[np.int64],
     max_deviation: float,
-    team: Team = ALONE,
+    team: ThreadTeam = ALONE,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Fit every region, cutting the bent ones.
 
@@ -60,27 +60,27 @@ def fit_regions(
         positions: (M, 2) of all pixels, px.
         weights: (M,) of all pixels.
         order, offsets: the pixels of each region, see `airline.stages.fit.group`.
-        max_deviation: px, see `airline.stages.fit.TotalLeastSquaresFitter`.
+        max_deviation: px, see `FitConfig`.
         team: threads that share the work.
 
     Returns:
-        The rows of the pixels, those of a part together, (P, 2) where each part begins and ends among them, and (P, 10)
-        the parts.
+        (K,) int64 rows of the pixels, those of a part together, (P, 2) int64 where each part begins and ends among
+        them, and (P, 10) float64 the parts.
     """
     rows, begins = order[offsets[0] :].copy(), offsets - offsets[0]
 
-    def fit(start: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        fitted: tuple[NDArray[np.int64], NDArray[np.float64]] = _fit_regions(
+    def split(start: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        parts: tuple[NDArray[np.int64], NDArray[np.float64]] = _split_regions(
             positions, weights, rows, begins[start : end + 1], max_deviation
         )
-        return fitted
+        return parts
 
-    bounds, moments = zip(*team.share(len(begins) - 1, 64, fit), strict=True)
+    bounds, moments = zip(*team.map_range(len(begins) - 1, 64, split), strict=True)
     return rows, np.concatenate(bounds), np.concatenate(moments)
 
 
 @njit()
-def _fit_regions(positions, weights, rows, begins, max_deviation):  # type: ignore[no-untyped-def]
+def _split_regions(positions, weights, rows, begins, max_deviation):  # type: ignore[no-untyped-def]
     """Where the parts of some regions begin and end, and their numbers; puts the rows of a part together."""
     most = begins[-1] - begins[0]
     bounds = np.empty((most, 2), np.int64)

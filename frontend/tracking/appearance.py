@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
-from airline.kernels.sampling import lay, total_of
+from airline.kernels.sampling import place_samples, sum_samples
 
 OFFSETS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px across the line
 SPACING = 6.0  # px between samples along the line
@@ -53,10 +53,10 @@ def _profiles(values, width, height, segments):  # type: ignore[no-untyped-def]
         row = profiles[n]
         for c in range(len(OFFSETS)):
             x, y = np.float32(x0 - OFFSETS[c] * nx), np.float32(y0 - OFFSETS[c] * ny)
-            lay(width, height, x, y, dx, dy, c * samples, samples, places, work)
+            place_samples(width, height, x, y, dx, dy, c * samples, samples, places, work)
         mean, squares = 0.0, FLOOR * FLOOR
         for c in range(len(OFFSETS)):
-            row[c] = total_of(values, width, c * samples, samples, places, work) / samples
+            row[c] = sum_samples(values, width, c * samples, samples, places, work) / samples
             mean += row[c] / len(OFFSETS)
         for c in range(len(OFFSETS)):
             row[c] -= mean

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from airline.config import EdgeConfig
 from airline.evaluate import main as evaluate
 from airline.evaluation.ablate import main
 from airline.evaluation.ablation import VARIANTS, HoughTransform, Variant, back_end, edge_detectors
@@ -87,7 +86,7 @@ def test_no_exchange_is_idle(clip: Path) -> None:
 def test_hough_transform_finds_a_drawn_line() -> None:
     edges = np.zeros((60, 100), np.float32)
     edges[20, 10:91] = 1
-    find = HoughTransform(ThresholdPixels(EdgeConfig().threshold))
+    find = HoughTransform(ThresholdPixels())
     blank = np.zeros(edges.shape, np.uint8)
     assert np.sort(find(blank, edges), axis=1).tolist() == [[[10, 20], [90, 20]]]
     assert find(blank, np.zeros_like(edges)).shape == (0, 2, 2)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import AirLine, CannyEdges, ConfigError, DetectorConfig, InputError, ModuleEdges
-from airline.config import EdgeConfig, GrowConfig, OrientationConfig
+from airline.config import EdgeConfig, FitConfig, GrowConfig, OrientationConfig
 from airline.image import to_uint8
 from airline.stages.fit import TotalLeastSquaresFitter
 from airline.stages.orientation import LineKernelOrientation
@@ -40,7 +43,7 @@ def near(segments: np.ndarray, start: tuple[float, float], end: tuple[float, flo
 
 
 def test_finds_the_sides_of_a_rectangle(airline):
-    lines = airline(room())
+    lines, n = airline(room()), len(airline(room()))
     for start, end in [
         ((39.5, 49.5), (150.5, 49.5)),
         ((39.5, 49.5), (39.5, 200.5)),
@@ -48,30 +51,29 @@ def test_finds_the_sides_of_a_rectangle(airline):
         ((39.5, 200.5), (150.5, 200.5)),
     ]:
         assert near(lines.segments, start, end, 4.0), (start, end)
+    assert (lines.segments.shape, lines.scores.shape, lines.descriptors.shape) == ((n, 2, 2), (n,), (n, 6))
+    assert {a.dtype for a in (lines.segments, lines.scores, lines.descriptors)} == {np.dtype(np.float32)}
+    assert np.allclose(np.linalg.norm(lines.descriptors, axis=1), 1, atol=1e-5)
+    assert ((lines.scores > 0) & (lines.scores <= 1)).all()
+    assert ((lines.angles >= 0) & (lines.angles < np.pi)).all()
+    assert (lines.lengths >= DetectorConfig().fit.min_length - 1e-3).all()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 8])
 def test_batch_gives_what_single_images_give(airline, threads):
     images = [room(), room(200, 150), cv2.merge([room()] * 3), room().astype(np.uint16) * 200] * 3
-    found = AirLine(threads=threads, edges=airline.stages.edges).detect_batch(iter(images))
+    found = AirLine(threads=threads, edges=airline.edges).detect_batch(iter(images))
     for lines, image in zip(found, images, strict=True):
         np.testing.assert_array_equal(lines.segments, airline(image).segments)
     assert list(airline.detect_batch([])) == []
 
 
-@pytest.mark.parametrize(("threads", "at_once"), [(1, 1), (2, 1), (8, 4)])
-def test_batch_takes_images_as_they_are_needed(airline, threads, at_once):
-    taken = []
-
-    def endless():
-        while True:
-            taken.append(1)
-            yield room(80, 60)
-
-    results = AirLine(threads=threads, edges=airline.stages.edges).detect_batch(endless())
+def test_batch_takes_images_as_they_are_needed(airline):
+    images = iter([room(80, 60)] * 20)
+    results = AirLine(threads=8, edges=airline.edges).detect_batch(images)
     for _ in range(3):
         next(results)
-    assert len(taken) == 3 + at_once
+    assert len(list(images)) == 20 - 3 - 4, "one image is under way for every two threads"
     results.close()
 
 
@@ -80,20 +82,6 @@ def test_batch_says_which_image_is_none_after_those_before_it(airline):
     assert len(next(results)) > 12
     with pytest.raises(InputError, match="float64"):
         next(results)
-
-
-def test_result_is_well_formed(airline):
-    lines = airline(room())
-    n = len(lines)
-    assert n > 12
-    assert lines.segments.shape == (n, 2, 2)
-    assert lines.scores.shape == (n,)
-    assert lines.descriptors.shape == (n, 6)
-    assert {a.dtype for a in (lines.segments, lines.scores, lines.descriptors)} == {np.dtype(np.float32)}
-    assert np.allclose(np.linalg.norm(lines.descriptors, axis=1), 1, atol=1e-5)
-    assert ((lines.scores > 0) & (lines.scores <= 1)).all()
-    assert ((lines.angles >= 0) & (lines.angles < np.pi)).all()
-    assert (lines.lengths >= DetectorConfig().fit.min_length - 1e-3).all()
 
 
 @pytest.mark.parametrize("preset", ["default", "fast", "accurate", "paper"])
@@ -182,40 +170,62 @@ def test_canny_is_a_second_edge_detector():
 
 
 def test_any_torch_module_is_an_edge_detector():
-    from kornia.models.dexined import DexiNed
-
-    edges = ModuleEdges(DexiNed(pretrained=False), channels=3, scale=1.0)
-    trace = AirLine(edges=edges).trace(room(160, 128))
-    assert trace.edges.shape == (128, 160)
-    assert ((trace.edges >= 0) & (trace.edges <= 1)).all()
-
-
-def test_variants_of_the_ablation_run():
-    for orientation in (
-        OrientationConfig(channels=2, subtract_mean=False),
-        OrientationConfig(kind="gradient"),
-        OrientationConfig(channels=12, kernel_size=11),
-    ):
-        lines = AirLine(config=DetectorConfig(orientation=orientation, grow=GrowConfig(similarity=0.9)))(room())
-        assert len(lines) > 4
+    module = torch.nn.Conv2d(3, 1, 3, padding=1)
+    edges = ModuleEdges(module, channels=3, scale=1.0).detect(room(160, 128))
+    assert edges.shape == (128, 160)
+    assert edges.dtype == np.float32
+    assert ((edges >= 0) & (edges <= 1)).all()
+    with pytest.raises(ConfigError, match=r"must answer \(1, 1, H, W\) logits"):
+        ModuleEdges(torch.nn.MaxPool2d(2)).detect(room())
 
 
 def test_stages_on_their_own_begin_as_the_default_preset():
     detector = AirLine(edges=CannyEdges())
     assert detector.fitter == TotalLeastSquaresFitter()
     assert detector.orientation == LineKernelOrientation()
-    assert detector.pixels == RidgePixels(DetectorConfig().edges.threshold)
+    assert detector.pixels == RidgePixels()
+    assert AirLine(edges=ModuleEdges(torch.nn.Identity())).pixels == RidgePixels()
 
 
-def test_unknown_preset_is_named():
-    with pytest.raises(ConfigError, match="no preset named 'fancy'"):
-        AirLine("fancy")
+def test_any_stage_may_be_replaced(airline):
+    """With an object that has its one method."""
+
+    class Halves:
+        def fit(self, edge, descriptors, regions):
+            lines, labels = airline.fitter.fit(edge, descriptors, regions)
+            return replace(lines, scores=lines.scores / 2), labels
+
+    detector = AirLine(edges=airline.edges)
+    detector.fitter = Halves()
+    assert np.array_equal(detector(room()).scores, airline(room()).scores / 2)
 
 
-def test_same_image_same_bits(airline):
-    first, second = airline(room()), airline(room())
-    assert np.array_equal(first.segments, second.segments)
-    assert np.array_equal(first.scores, second.scores)
+def test_edges_and_the_other_stages_one_after_the_other(airline):
+    gray, edges, milliseconds = airline.detect_edges(cv2.merge([room()] * 3))
+    assert np.array_equal(gray, room())
+    assert milliseconds > 0
+    trace = airline.trace_edges(edges, gray, milliseconds)
+    assert trace.stage_ms["edges"] == milliseconds
+    assert np.array_equal(trace.lines.segments, airline(room()).segments)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: AirLine("fancy"), "no preset named 'fancy'"),
+        (lambda: GrowConfig(similarity=1.1), "setting similarity: .*<= 1.0"),
+        (lambda: GrowConfig(min_pixels=0), "setting min_pixels"),
+        (lambda: OrientationConfig(channels=1), "setting channels"),
+        (lambda: OrientationConfig(kernel_size=8), "odd kernel size"),
+        (lambda: EdgeConfig(smoothing=4), "odd number of pixels"),
+        (lambda: FitConfig(max_deviation=0), "setting max_deviation"),
+        (lambda: CannyEdges(low=100, high=50), "low <= high"),
+    ],
+)
+def test_impossible_settings_are_refused(make, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        make()
+    assert GrowConfig(similarity=np.float64(0.5)).similarity == 0.5
 
 
 def test_sixteen_bit_images_are_stretched_despite_hot_pixels():

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from airline.stages.split_regions import fit_regions
+from airline.stages.split_regions import split_regions
 
 DEVIATION = 2.5
 Points = NDArray[np.float64]
@@ -18,7 +18,7 @@ def cut(*regions: Points) -> tuple[list[Points], NDArray[np.float64]]:
     positions = np.concatenate(regions).astype(np.float32)
     offsets = np.cumsum([0, *map(len, regions)])
     order = np.arange(len(positions))
-    rows, bounds, moments = fit_regions(positions, np.ones(len(positions), np.float32), order, offsets, DEVIATION)
+    rows, bounds, moments = split_regions(positions, np.ones(len(positions), np.float32), order, offsets, DEVIATION)
     np.testing.assert_array_equal(np.sort(rows), order)  # every pixel once
     np.testing.assert_array_equal(np.sort(bounds, axis=0)[1:, 0], np.sort(bounds, axis=0)[:-1, 1])
     return [positions[rows[start:end]].astype(np.float64) for start, end in bounds], moments
@@ -77,11 +77,3 @@ def test_texture_is_not_cut_to_pieces() -> None:
     parts, _ = cut(patch)
     assert len(parts) == 296
     assert max(map(len, parts)) > 9000
-
-
-def test_a_long_zigzag_is_cut_at_every_corner_that_the_limit_allows() -> None:
-    corners = [(15.0 * k, 20.0 * (k % 2)) for k in range(30)]
-    parts, moments = cut(along(*corners))
-    lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
-    assert len(parts) == len(corners) - 1
-    np.testing.assert_allclose(lengths, 25, atol=5)

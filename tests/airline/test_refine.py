@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import LineSet
+from airline.config import RefineConfig
 from airline.stages.refine import ImageRefiner
 from tests.helpers.ideal import SIZE, ideal_line
 
@@ -76,8 +77,10 @@ def test_a_noisy_edge_still_helps():
 def test_a_far_edge_leaves_the_line_alone():
     line = ideal_line(0, (0, 0))
     lines = displaced(line, 0.8, 0.8)
-    assert np.array_equal(ImageRefiner(max_shift=0.5).refine(lines, as_image(step_edge(line))).segments, lines.segments)
-    assert np.array_equal(ImageRefiner(max_shift=0).refine(lines, as_image(step_edge(line))).segments, lines.segments)
+    assert np.array_equal(ImageRefiner().refine(lines, as_image(step_edge(line))).segments, lines.segments)
+    assert np.array_equal(
+        ImageRefiner(RefineConfig(max_shift=0)).refine(lines, as_image(step_edge(line))).segments, lines.segments
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 7), (8, 200)])

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airline.kernels.sampling import blend, blocks_of, lay, total_of
+from airline.kernels.sampling import interpolate, pack_neighbours, place_samples, sum_samples
 from airline.stages.score_parts import bilinear
 
 PLACES = st.floats(-3, 33, width=32)
@@ -30,10 +30,10 @@ def test_samples_are_bilinear(height, width, start, step, first, count, seed):
     columns, rows = np.clip(x + steps * dx, 0, width - 1), np.clip(y + steps * dy, 0, height - 1)
     expected = np.array([bilinear(image, *place) for place in zip(columns, rows, strict=True)])
 
-    lay(width, height, x, y, dx, dy, first, count, places, work)
+    place_samples(width, height, x, y, dx, dy, first, count, places, work)
     for values in (image.ravel(), image.astype(np.float32).ravel()):
-        assert abs(total_of(values, width, first, count, places, work) - expected.sum()) <= 0.01 * max(1, count)
-    blend(blocks_of(image), first + count, places, work)
+        assert abs(sum_samples(values, width, first, count, places, work) - expected.sum()) <= 0.01 * max(1, count)
+    interpolate(pack_neighbours(image), first + count, places, work)
     np.testing.assert_allclose(work[first : first + count], expected, atol=0.01)
 
 
@@ -44,7 +44,7 @@ def test_samples_are_bilinear(height, width, start, step, first, count, seed):
 )
 def test_no_place_lies_outside(height, width, numbers):
     places, work = np.zeros(8, np.int32), np.zeros(16, np.float32)
-    lay(width, height, *(np.float32(number) for number in numbers), 0, 8, places, work)
+    place_samples(width, height, *(np.float32(number) for number in numbers), 0, 8, places, work)
     columns, rows = places % width, places // width
     assert (columns <= width - 2).all()
     assert (columns >= 0).all()

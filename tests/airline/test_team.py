@@ -11,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import AirLine
-from airline.kernels.threads import MOST, Team
-from frontend.sources.scene import SceneSource
+from airline.kernels.threads import MOST, ThreadTeam
 
 
 @settings(deadline=None)  # the first time, the waiting is compiled
 @given(threads=st.integers(-1, 9), count=st.integers(0, 1000), least=st.integers(1, 300))
 def test_every_piece_is_done_once_and_in_order(threads: int, count: int, least: int) -> None:
-    parts = Team(threads).share(count, least, lambda start, end: list(range(start, end)))
+    parts = ThreadTeam(threads).map_range(count, least, lambda start, end: list(range(start, end)))
     assert [piece for part in parts for piece in part] == list(range(count))
     assert 1 <= len(parts) <= max(1, min(threads, MOST))
     assert len(parts) == 1 or min(map(len, parts)) >= least
@@ -30,18 +29,18 @@ def test_an_error_of_any_part_is_raised() -> None:
             raise ValueError("the last part")
 
     with pytest.raises(ValueError, match="the last part"):
-        Team(4).share(100, 1, fail_at_the_end)
-    assert Team(4).share(4, 1, lambda start, end: end) == [1, 2, 3, 4]
+        ThreadTeam(4).map_range(100, 1, fail_at_the_end)
+    assert ThreadTeam(4).map_range(4, 1, lambda start, end: end) == [1, 2, 3, 4]
 
 
 def test_threads_that_have_gone_to_sleep_help_again() -> None:
     for pause in (0, 0.001, 0.02, 0):
         time.sleep(pause)
-        assert Team(3).share(30, 1, lambda start, end: end - start) == [10, 10, 10]
+        assert ThreadTeam(3).map_range(30, 1, lambda start, end: end - start) == [10, 10, 10]
 
 
 def halves() -> None:
-    assert Team(2).share(10, 1, lambda start, end: end - start) == [5, 5]
+    assert ThreadTeam(2).map_range(10, 1, lambda start, end: end - start) == [5, 5]
 
 
 def test_a_fork_has_threads_of_its_own() -> None:
@@ -52,12 +51,11 @@ def test_a_fork_has_threads_of_its_own() -> None:
     assert process.exitcode == 0
 
 
-def test_any_number_of_threads_gives_the_same_bits() -> None:
-    image = next(iter(SceneSource())).image
+def test_any_number_of_threads_gives_the_same_bits(scene: np.ndarray) -> None:
     edges = AirLine(threads=1).edges
-    alone = AirLine(threads=1, edges=edges).trace(image)
+    alone = AirLine(threads=1, edges=edges).trace(scene)
     for threads in (2, 3, 4):
-        team = AirLine(threads=threads, edges=edges).trace(image)
+        team = AirLine(threads=threads, edges=edges).trace(scene)
         for name in ("pixels", "positions", "descriptors", "labels"):
             assert np.array_equal(getattr(team, name), getattr(alone, name)), name
         assert np.array_equal(team.lines.segments, alone.lines.segments)

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import pickle
-import shutil
 
+import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 import airline.network.weights
-from airline import UNetEdges, WeightsError
+from airline import WeightsError
 from airline.network.spec import UNetSpec
-from airline.network.unet import UNet
-from airline.network.weights import BUNDLED, bundled_path, load_unet, save_unet
+from airline.network.unet import UNet, normalise
+from airline.network.weights import BUNDLED, bundled_path, load_ranges, load_unet, load_weights, save_unet
+from airline.training.ranges import BEYOND, _of_most, measure_ranges
+
+WRONG = ["[]", "[true]", "[1.5]", "16", '{"a": 1}', "[16", "[0]", "[" * 9999, "[4, 4, 4, 4, 4, 4, 4, 4, 4]"]
 
 
-def test_bundled_weights_load():
-    for name in BUNDLED:
-        net = load_unet(name)
-        assert not net.training
-        assert bundled_path(name).stat().st_size < 5_000_000
+def convolutions(spec):
+    """All but the first, whose input is the image."""
+    return {name.removesuffix(".weight") for name in spec.shapes() if name.endswith(".weight")} - {"down.0.0"}
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_bundled_weights(name):
+    net, ranges = load_unet(name), load_ranges(name)
+    assert not net.training
+    assert bundled_path(name).stat().st_size < 5_000_000
+    assert ranges.keys() == convolutions(net.spec)
+    assert all(low <= 0 < high for low, high in ranges.values())
 
 
 def test_round_trip_folds_the_normalisation(tmp_path):
@@ -34,22 +45,6 @@ def test_round_trip_folds_the_normalisation(tmp_path):
     assert loaded.spec == net.spec
     image = torch.randn(1, 1, 32, 48)
     assert torch.allclose(loaded(image), net(image), atol=1e-4)
-
-
-def test_smoothed_copies_of_the_image():
-    net = UNet(UNetSpec((8, 16), smoothed=2))
-    image = torch.zeros(1, 4, 13, 13)
-    image[0, :, 6, 6] = 45  # a point of light, the same in all four folded pixels
-    first, second = (copy[0, 0] for copy in net._smoothed(image))
-    expected = torch.zeros(13, 13)
-    expected[5:8, 5:8] = 2 * 5.0
-    assert torch.allclose(first, expected, atol=1e-5)
-    assert second[6, 6] == pytest.approx(2 * 9 * 5 / 25)
-    assert second.sum() == pytest.approx(2 * 45.0, rel=1e-5)
-    assert (second[:1] == 0).all()
-    flat = net._smoothed(torch.full((1, 4, 9, 9), 3.0))
-    assert all(torch.allclose(copy, torch.tensor(6.0)) for copy in flat), "borders lose no light"
-    assert UNet(UNetSpec((8, 16), smoothed=0))._smoothed(image) == []
 
 
 def test_equal_weights_make_equal_files(tmp_path):
@@ -87,31 +82,20 @@ def test_a_pickle_is_refused(tmp_path):
         load_unet(path)
 
 
-def test_weights_of_another_network_are_refused(tmp_path):
-    from safetensors.torch import save_file
-
-    path = tmp_path / "other.safetensors"
-    save_file({"a": torch.zeros(3)}, path)
-    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
-        load_unet(path)
-    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec().to_metadata())
-    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
-        load_unet(path)
-    save_file({"a": torch.zeros(3)}, path, metadata=UNetSpec((10**6,)).to_metadata())
-    with pytest.raises(WeightsError, match="out of range"):
-        load_unet(path)
-
-
 @pytest.mark.parametrize(
-    "widths", ["[]", "[true]", "[1.5]", "16", '{"a": 1}', "[16", "[0]", "[" * 9999, "[4, 4, 4, 4, 4, 4, 4, 4, 4]"]
+    ("metadata", "why"),
+    [
+        (None, "widths"),
+        (UNetSpec().to_metadata(), "its tensors differ"),
+        (UNetSpec((10**6,)).to_metadata(), "1024"),
+        *(({**UNetSpec().to_metadata(), "widths": widths}, "") for widths in WRONG),
+    ],
 )
-def test_shapes_that_are_none_are_refused(tmp_path, widths):
-    from safetensors.torch import save_file
-
+def test_weights_of_another_network_are_refused(tmp_path, metadata, why):
     path = tmp_path / "other.safetensors"
-    save_file({"a": torch.zeros(3)}, path, metadata={**UNetSpec().to_metadata(), "widths": widths})
-    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
-        load_unet(path)
+    save_file({"a": torch.zeros(3)}, path, metadata=metadata)
+    with pytest.raises(WeightsError, match=f"does not hold weights of this edge network.*{why}"):
+        load_weights(path)
 
 
 def test_weights_that_are_not_numbers_are_refused(tmp_path):
@@ -120,9 +104,47 @@ def test_weights_that_are_not_numbers_are_refused(tmp_path):
         net.head.bias[0] = float("nan")
     save_unet(net, tmp_path / "nan.safetensors")
     with pytest.raises(WeightsError, match="not finite"):
-        load_unet(tmp_path / "nan.safetensors")
+        load_weights(tmp_path / "nan.safetensors")
 
 
-def test_a_copy_of_the_bundled_weights_works_as_a_file(tmp_path):
-    shutil.copy(bundled_path("default"), tmp_path / "copy.safetensors")
-    UNetEdges(tmp_path / "copy.safetensors", runtime="torch")
+def test_ranges_are_kept_in_the_file(tmp_path):
+    net = UNet(UNetSpec((4, 8)))
+    ranges = {name: (-1.25, 2.5) for name in convolutions(net.spec)}
+    save_unet(net, tmp_path / "with.safetensors", ranges)
+    save_unet(net, tmp_path / "without.safetensors")
+    assert load_ranges(tmp_path / "with.safetensors") == ranges
+    assert load_ranges(tmp_path / "without.safetensors") == {}
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    ["[1, 2]", '{"head": [0, 1]}', "no JSON", "[" * 100_000, '{"head": 1, "up.0.0": 1, "lateral.0": 1, "down.1.0": 1}']
+    + [
+        f'{{"head": [{pair}], "up.0.0": [0, 1], "lateral.0": [0, 1], "down.1.0": [0, 1]}}'
+        for pair in ("NaN, 1", "2, 1", "0, 1e9", '"a", "b"', "0, 1, 2")
+    ],
+)
+def test_ranges_that_are_none_are_refused(tmp_path, ranges):
+    path, spec = tmp_path / "net.safetensors", UNetSpec((4, 8))
+    save_file(UNet(spec).state_dict(), path, metadata={**spec.to_metadata(), "ranges": ranges})
+    with pytest.raises(WeightsError, match="does not hold weights of this edge network"):
+        load_ranges(path)
+
+
+def test_ranges_hold_all_numbers_but_a_few(scene):
+    torch.manual_seed(3)
+    net = UNet(UNetSpec((4, 8, 16), convs=2, unshuffle=1, smoothed=0)).eval()
+    images = [scene, np.ascontiguousarray(scene[::2, ::2])]
+    ranges = measure_ranges(net, images)
+    assert ranges.keys() == convolutions(net.spec)
+    low, high = ranges["down.1.0"]
+    with torch.no_grad():
+        for image in images:
+            first = net.down[0](normalise(torch.from_numpy(image.astype(np.float32))[None, None]))
+            taken = torch.nn.functional.max_pool2d(first, 2)
+            assert (taken > high * (1 + 1e-5)).float().mean() <= BEYOND  # what is equal but for rounding is within
+    assert low == 0, "what comes from a ReLU is never negative"
+    assert ranges["up.0.0"][0] < 0, "what is added may be"
+    usual = np.ones(39)
+    assert _of_most(-np.append(usual, 9), np.append(usual, 9)) == (-1, 1), "one odd image does not widen them"
+    assert _of_most(np.array([-2.0, 0]), np.array([3.0, 1])) == (-2, 3), "of a few, none is odd"

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from airline.stages.split_regions import fit_regions, residual
+from airline.stages.split_regions import residual, split_regions
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
 from frontend.tracking.borders import clip
@@ -270,7 +270,7 @@ def test_residuals_of_scattered_pixels():
     points = np.stack(
         [20 + along * np.cos(angle) - across * np.sin(angle), 10 + along * np.sin(angle) + across * np.cos(angle)], 1
     ).astype(np.float32)
-    _, _, parts = fit_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
+    _, _, parts = split_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
     assert residual(parts[0]) == pytest.approx(0.3, abs=0.02)
 
 

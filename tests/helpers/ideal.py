@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,16 +10,6 @@ from airline import AirLine, CannyEdges
 SIZE = 160
 HALF_LENGTH = 50.0
 ANGLES = np.arange(36) * 5.0
-
-
-@dataclass(frozen=True)
-class LineError:
-    """Angle in degrees; offset across the line and the worse end point in px; how many lines were found."""
-
-    found: int
-    angle: float
-    offset: float
-    ends: float
 
 
 def ideal_line(degrees: float, shift: tuple[float, float]) -> NDArray[np.float64]:
@@ -53,21 +41,17 @@ def binary_map(line: NDArray[np.float64]) -> NDArray[np.float32]:
     return edges
 
 
-def measure(preset: str, edges: NDArray[np.float32], truth: NDArray[np.float64]) -> LineError:
-    """Run the stages after edge detection and compare the longest line with the truth."""
+def measure(preset: str, edges: NDArray[np.float32], truth: NDArray[np.float64]) -> tuple[int, float, float, float]:
+    """How many lines the stages after edge detection find, and of the longest one against the truth: the angle,
+    degrees, the offset across the line and the worse end point, px.
+    """
     lines = AirLine(preset, edges=CannyEdges()).trace_edges(edges).lines
     if not len(lines):
-        return LineError(0, np.inf, np.inf, np.inf)
+        return 0, np.inf, np.inf, np.inf
     segment = lines.segments[np.argmax(lines.lengths)].astype(np.float64)
     delta = truth[1] - truth[0]
     unit, found = delta / np.linalg.norm(delta), segment[1] - segment[0]
     angle = np.degrees(np.arcsin(min(1.0, abs(unit[0] * found[1] - unit[1] * found[0]) / np.linalg.norm(found))))
     gap = segment.mean(axis=0) - truth.mean(axis=0)
     ends = min(np.linalg.norm(pair - truth, axis=1).max() for pair in (segment, segment[::-1]))
-    return LineError(len(lines), float(angle), float(abs(gap[0] * unit[1] - gap[1] * unit[0])), float(ends))
-
-
-def report(preset: str, kind: str, errors: list[LineError]) -> str:
-    """The worst errors over all angles in one line."""
-    worst = [max(getattr(e, name) for e in errors) for name in ("angle", "offset", "ends")]
-    return f"{preset:8s} {kind:7s} angle {worst[0]:.3f} deg  offset {worst[1]:.3f} px  end points {worst[2]:.2f} px"
+    return len(lines), float(angle), float(abs(gap[0] * unit[1] - gap[1] * unit[0])), float(ends)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from airline.kernels.compiled import njit
-from airline.network.smooth import box_mean
 
 GAIN = np.float32(128)  # what a grey level is in a smoothed copy
-QUARTER = np.float32(0.25)
+ONE, QUARTER = np.float32(1), np.float32(0.25)
 FIRST, SECOND, THIRD, BYTE = np.uint32(8), np.uint32(16), np.uint32(24), np.uint32(255)
 FOUR = np.uint32(0x01010101)  # times a byte: the byte four times
 
 
 @njit(fastmath=True, inline="always")
-def fill_rows(gray: Any, mean: Any, blocks: Any, copies: Any, columns: int, first: int, last: int) -> None:
+def fill_rows(gray, mean, blocks, copies, columns, first, last):  # type: ignore[no-untyped-def]
     """Fill rows `first` to `last` of the first layer's input, and the margin beside them.
 
     The image's last row and column are repeated as far as the network's stride needs, as by `UNet.answer`.
@@ -70,3 +67,32 @@ def fill_rows(gray: Any, mean: Any, blocks: Any, copies: Any, columns: int, firs
             row, target = means[y - start], copies[level // 2, y + 1, 1:].reshape(-1)
             for x in range(columns):
                 target[2 * x + level % 2] = np.int16(np.rint(row[x]))
+
+
+@njit(fastmath=True)
+def box_mean(image, radius, means):  # type: ignore[no-untyped-def]
+    """Mean of the square around each pixel, as far as the square lies in the image; both (h, w) float32."""
+    rows, columns = image.shape
+    sums = np.zeros(columns + 2 * radius, np.float32)
+    share = np.empty(columns, np.float32)
+    for x in range(columns):
+        share[x] = ONE / np.float32(min(x, radius) + min(columns - 1 - x, radius) + 1)
+    middle = sums[radius : radius + columns]
+    for y in range(rows):
+        first, last = max(y - radius, 0), min(y + radius, rows - 1)
+        for x in range(columns):
+            middle[x] = 0
+        for row in range(first, last + 1):
+            line = image[row]
+            for x in range(columns):
+                middle[x] += line[x]
+        target = means[y]
+        for x in range(columns):
+            target[x] = 0
+        for shift in range(2 * radius + 1):
+            moved = sums[shift : shift + columns]
+            for x in range(columns):
+                target[x] += moved[x]
+        share_of_rows = ONE / np.float32(last - first + 1)
+        for x in range(columns):
+            target[x] *= share_of_rows * share[x]

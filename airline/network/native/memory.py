@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.network.native.microkernels import PIXEL
 from airline.network.native.quantise import Layer, Quantised
-from airline.network.native.rows import PIXEL
 from airline.network.native.vectors import TILE
-
-Terms = list[list[int]]
 
 
 @dataclass(frozen=True)
@@ -20,13 +18,13 @@ class Memory:
     """Maps, and the tables that tell the compiled code where all is.
 
     Attributes:
-        blocks: (rows + 2, stride) uint32, see `airline.network.native.image`.
+        blocks: (rows + 2, stride) uint32, see `fill_rows`.
         copies: (groups, rows + 2, stride, 2) int16, see there.
-        pixels: of the first layer, whose factors and offsets depend on the image.
-        smoothed: and of its share of smoothed copies, whose factors do.
+        pixels: the first layer, whose factors and offsets depend on the image.
+        smoothed: its share of smoothed copies, whose factors do.
         levels: (levels, 8) int64, see `airline.network.native.forward`.
-        layers: (3 levels + 2, 6) int64, see `airline.network.native.rows`: those on the way down, the lateral ones,
-            those on the way up, the head, the first one's share of smoothed copies.
+        layers: (3 levels + 2, 6) int64, see there: those on the way down, the lateral ones, those on the way up, the
+            head, the first one's share of smoothed copies.
         scratch: (threads, bytes) uint8.
         kept: what the tables have the addresses of.
     """
@@ -73,11 +71,14 @@ def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memo
 
     layers = np.zeros((3 * count + 2, 6), np.int64)
 
-    def put(place: int, layer: Layer, terms: Terms) -> None:
+    def put(place: int, layer: Layer, terms: list[list[int]]) -> None:
         arrays = (layer.weights, layer.factors, layer.offsets, np.array(terms, np.int64))
         layers[place] = *(address(array) for array in arrays), len(terms[0]), len(layer.weights)
 
-    pixels, smoothed = _copied(quantised.down[0]), _copied(quantised.copies)
+    pixels, smoothed = (  # with factors and offsets of this size's own
+        Layer(layer.weights, layer.factors.copy(), layer.offsets.copy())
+        for layer in (quantised.down[0], quantised.copies)
+    )
     for level, layer in enumerate([pixels, *quantised.down[1:]]):
         put(level, layer, [_square(layer, ((rows >> level) + 2) * strides[level], strides[level], (0, 1, 2))])
     for level, layer in enumerate(quantised.lateral):
@@ -96,16 +97,8 @@ def _room(shape: tuple[int, ...]) -> NDArray[np.uint8]:
     return np.zeros(shape, np.uint8)
 
 
-def _copied(layer: Layer) -> Layer:
-    """With factors and offsets of its own."""
-    return Layer(layer.weights, layer.factors.copy(), layer.offsets.copy())
-
-
 def _square(layer: Layer, apart: int, stride: int, rows: tuple[int, ...]) -> list[int]:
-    """Terms of a 3x3 convolution of groups that lie apart, from the pixel above and to the left of the one in question.
-
-    `rows` has the number of each of the three rows.
-    """
+    """Terms of a 3x3 convolution over three rows of these numbers, from the pixel above and to the left."""
     places = [stride * row + PIXEL * dx for row in rows for dx in range(3)]
     return [group * apart + place for group in range(layer.weights.shape[1]) for place in places]
 

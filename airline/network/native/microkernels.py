@@ -1,7 +1,6 @@
 """What is done to `TILE` neighbouring pixels at once; numba compiles these into their callers.
 
-All arguments but `isa` are addresses and counts; see `airline.network.native.vectors`. What numba has kept of the
-callers does not notice a change in here: remove the `__pycache__` beside this file after one.
+All arguments but `isa`, `kind` and operands are addresses and counts, int64; see `airline.network.native.vectors`.
 """
 
 from __future__ import annotations
@@ -15,70 +14,43 @@ from airline.kernels.atomics import intrinsic
 from airline.network.native.vectors import F32, I32, I64, Vectors
 
 Dot = Callable[[Any, Any, Any], Any]
-BLOCK = 8  # outputs of a tile
+BLOCK = 8  # outputs of a tile, but for the last layer's
+PIXEL = 4  # bytes of a group, or of a float
 
-
-def _convolution(outputs: int, to_bytes: bool) -> Any:
-    @intrinsic
-    def tile(context, isa, source, terms, count, weights, factors, offsets, target, apart):  # type: ignore[no-untyped-def]
-        """Answer some channels.
-
-        Args:
-            source: of the pixels, to which is added
-            terms: where each group that counts lies, int64 bytes,
-            count: of them.
-            weights: (count, outputs, 4 bytes).
-            factors, offsets: (outputs,) float32, from totals to answers.
-            target: where the answers go, as bytes or as floats.
-            apart: from a group, or from a channel of floats, to the next, bytes.
-        """
-
-        def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            v = Vectors(builder, isa)
-            _, source, terms, count, weights, factors, offsets, target, apart = arguments
-            for few in _portions(v, outputs):
-                totals = _totals(v, v.dot_bytes, few, outputs, source, terms, count, weights)
-                answers = _answers(v, few, totals, factors, _splats(v, few, offsets))
-                target = _store(v, answers, target, apart, to_bytes)
-            return context.get_dummy_value()
-
-        return types.void(isa, *[types.int64] * 8), emit
-
-    return tile
+# Kinds of answer: as many numbers as outputs, and whether they become bytes. Numba compiles anew for tuples of other
+# lengths, as for `airline.network.processor.Isa`.
+BYTES, FLOATS, LOGITS = ((0,) * BLOCK, (0,)), ((0,) * BLOCK, ()), ((0,) * 4, ())
 
 
 @intrinsic
-def first(  # type: ignore[no-untyped-def]
-    context,
-    isa,
-    source,
-    terms,
-    count,
-    weights,
-    factors,
-    words,
-    word_terms,
-    word_count,
-    word_weights,
-    word_factors,
-    offsets,
-    target,
-    apart,
-):
-    """As the tile of a convolution to bytes, of pixels in bytes and of others in 16-bit numbers."""
+def tile(context, isa, kind, of_bytes, pixels, of_words, words, offsets, target, apart):  # type: ignore[no-untyped-def]
+    """Answer some channels of a convolution.
+
+    Args:
+        of_bytes: addresses and count of a tuple: terms, int64 bytes from the pixels to each group that counts; count
+            of them; weights, (count, outputs, 4 bytes); factors, (outputs,) float32 from totals to answers.
+        pixels: in bytes.
+        of_words, words: the same of pixels in 16-bit numbers whose products are added; () for none.
+        offsets: (outputs,) float32.
+        target: where the answers go, as bytes or as floats.
+        apart: from a group, or from a channel of floats, to the next, bytes.
+    """
+    outputs, to_bytes = (len(part) for part in kind)
 
     def emit(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         v = Vectors(builder, isa)
-        of_bytes, factors, of_words, word_factors = arguments[1:5], arguments[5], arguments[6:10], arguments[10]
-        offsets, target, apart = arguments[11:]
-        for few in _portions(v, BLOCK):
-            totals = _totals(v, v.dot_bytes, few, BLOCK, *of_bytes)
-            word_totals = _totals(v, v.dot_words, few, BLOCK, *of_words)
-            answers = _answers(v, few, word_totals, word_factors, _splats(v, few, offsets))
-            target = _store(v, _answers(v, few, totals, factors, answers), target, apart, True)
+        *_, offsets, target, apart = arguments
+        for few in _portions(v, outputs):
+            answers = _splats(v, few, offsets)
+            for dot, operands, place in ((v.dot_words, *arguments[4:6]), (v.dot_bytes, *arguments[2:4])):
+                if operands.type.elements:
+                    terms, count, weights, factors = cgutils.unpack_tuple(builder, operands)  # type: ignore[no-untyped-call]
+                    totals = _totals(v, dot, few, outputs, place, terms, count, weights)
+                    answers = _answers(v, few, totals, factors, answers)
+            target = _store(v, answers, target, apart, bool(to_bytes))
         return context.get_dummy_value()
 
-    return types.void(isa, *[types.int64] * 13), emit
+    return types.void(isa, kind, of_bytes, types.int64, of_words, *[types.int64] * 4), emit
 
 
 def _portions(v: Vectors, outputs: int) -> list[range]:
@@ -128,9 +100,6 @@ def _store(v: Vectors, answers: list[list[Any]], target: Any, apart: Any, to_byt
             v.store(vector, v.after(target, v.size * k))
         target = v.builder.add(target, apart)
     return target
-
-
-chars, floats, head = _convolution(BLOCK, True), _convolution(BLOCK, False), _convolution(4, False)
 
 
 @intrinsic

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import threading
+from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
-from airline.image import Gray
-from airline.kernels.threads import Team, cores
-from airline.network.encoding import folded_size
-from airline.network.native.forward import COLUMNS, go_through, take_in
+from airline.image import Gray, mean_and_deviation
+from airline.kernels.threads import ThreadTeam
+from airline.network.native.forward import COLUMNS, run_layers, take_image
 from airline.network.native.image import GAIN
 from airline.network.native.memory import Memory, lay_out
 from airline.network.native.quantise import quantise
-from airline.network.native.vectors import Isa
 from airline.network.processor import vector_instructions
-from airline.network.size_cache import Sizes
-from airline.network.spec import UNetSpec
+from airline.network.spec import SIZES, UNetSpec
 from airline.network.weights import load_ranges, load_weights
 
 FARTHEST = 5.0  # deviations from the mean that an image of 16 bits keeps
@@ -32,52 +29,46 @@ class NativeNetwork:
 
     Images of 16 bits become ones of 8, where 255 grey levels are ten standard deviations at most.
 
-    Args:
-        weights: name of bundled weights, or path of a weights file.
-        threads: at most so many; all cores by default.
-
     Raises:
         WeightsError: the weights cannot be used.
         ConfigError: the processor lacks the instructions, or the network is of another kind.
     """
 
+    name = "native int8"
+
     def __init__(self, weights: str | Path, threads: int | None = None) -> None:
         isa = vector_instructions()
         if isa is None:
-            raise ConfigError("this processor lacks AVX2, which the runtime native needs: use --runtime openvino")
-        self._isa: Isa = isa
+            raise ConfigError("this processor lacks AVX2, which the runtime native needs: use --runtime auto")
+        self._isa = isa
         self._spec, tensors = load_weights(weights)
         ranges = load_ranges(weights)
         if not ranges or not _fits(self._spec):
-            raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime openvino")
+            raise ConfigError(f"the network {weights} cannot run in 8-bit numbers: use --runtime auto")
         self._quantised = quantise(self._spec, tensors, ranges, 127 if isa[1] else 63)
         self._sums = self._quantised.down[0].weights.sum(axis=(1, 2, 4), dtype=np.float32).ravel()
-        self._team = Team(cores() if threads is None else threads)
-        self._sizes = Sizes(self._memory)
+        self._team = ThreadTeam(threads)
+        self._memory_for = lru_cache(SIZES)(self._memory)
         self._lock = threading.Lock()
-
-    @property
-    def name(self) -> str:
-        return "native int8"
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
         image = _narrow(gray)
-        mean, deviation = _mean_and_deviation(image)
+        mean, deviation = mean_and_deviation(image)
         edges = np.empty(image.shape, np.float32)
         marks = np.zeros((2 * self._spec.levels, PARTS + 1), np.int32)
-        crew = self._team.threads
+        threads = self._team.threads
         with self._lock:
-            memory = self._sizes.of(*image.shape)
+            memory = self._memory_for(*image.shape)
             self._normalise(memory, mean, max(deviation, 1.0))
             tables = memory.levels, memory.layers, self._quantised.shares, self._quantised.zeros
 
-            def join_in(start: int, end: int) -> None:
+            def take_part(start: int, end: int) -> None:
                 for who in range(start, end):
                     columns = memory.levels[0, COLUMNS]
-                    take_in(image, np.float32(mean), memory.blocks, memory.copies, columns, marks, who, crew)
-                    go_through(self._isa, *tables, memory.scratch, edges, marks, who, crew)
+                    take_image(image, np.float32(mean), memory.blocks, memory.copies, columns, marks, who, threads)
+                    run_layers(self._isa, *tables, memory.scratch, edges, marks, who, threads)
 
-            self._team.share(crew, 1, join_in)
+            self._team.map_range(threads, 1, take_part)
         return edges
 
     def _normalise(self, memory: Memory, mean: float, deviation: float) -> None:
@@ -88,7 +79,7 @@ class NativeNetwork:
         np.divide(self._quantised.copies.factors, deviation * GAIN, out=memory.smoothed.factors)
 
     def _memory(self, height: int, width: int) -> Memory:
-        return lay_out(self._quantised, *folded_size(self._spec, height, width), self._team.threads)
+        return lay_out(self._quantised, *self._spec.folded_size(height, width), self._team.threads)
 
 
 def suits(weights: str | Path) -> bool:
@@ -101,16 +92,11 @@ def _fits(spec: UNetSpec) -> bool:
     return spec.unshuffle == 2 and spec.convs == 1 and spec.levels > 1
 
 
-def _mean_and_deviation(gray: Gray) -> tuple[float, float]:
-    mean, deviation = cv2.meanStdDev(gray)
-    return float(mean[0, 0]), float(deviation[0, 0])
-
-
 def _narrow(gray: Gray) -> NDArray[np.uint8]:
     """An image in 8 bits; what is more than `FARTHEST` deviations from its mean may be cut off."""
     if gray.dtype == np.uint8:
         return np.ascontiguousarray(gray, np.uint8)
-    mean, deviation = _mean_and_deviation(gray)
+    mean, deviation = mean_and_deviation(gray)
     least = max(float(gray.min()), mean - FARTHEST * deviation)
     most = min(float(gray.max()), mean + FARTHEST * deviation)
     stretched = (gray - np.float32(least)) * np.float32(255 / max(most - least, 1.0))

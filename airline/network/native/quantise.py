@@ -38,11 +38,10 @@ class Quantised:
     """All layers.
 
     Attributes:
-        down, lateral, up, head: as in `UNet`, but that `down[0]` takes no smoothed copies, and is for
-            images with mean 0 and deviation 1.
+        down, lateral, up, head: as in `UNet`; `down[0]` takes no smoothed copies, and images of mean 0 and deviation 1.
         copies: the first layer's share of smoothed copies, which are 16-bit numbers.
-        shares: per level with a coarser one, what 1 in its map counts in the sum; float32.
-        zeros: per such level, the number that stands for zero in the sum; int64.
+        shares: (levels - 1,) float32 what 1 in a level's map counts in the sum with the coarser one.
+        zeros: (levels - 1,) int64 the number that stands for zero in the sum.
     """
 
     down: list[Layer]
@@ -107,14 +106,10 @@ class _Layers:
         block: int = BLOCK,
         inputs: int | None = None,
     ) -> Layer:
-        """A layer of 8-bit numbers.
+        """A layer of 8-bit numbers, `block` channels of which are answered at once, of all inputs or the first ones.
 
-        Args:
-            name: its name.
-            unit, zero: what 1 of its input stands for, and which input stands for zero.
-            answer, answer_zero: the same of its output.
-            block: channels that are answered at once.
-            inputs: how many of the channels to take; all by default.
+        `unit` and `zero` are what 1 of its input stands for, and which input stands for zero; `answer` and
+        `answer_zero` the same of its output.
         """
         kernel, bias = self.weights[f"{name}.weight"][:, :inputs], self.weights[f"{name}.bias"]
         steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / self.largest

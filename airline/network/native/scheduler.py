@@ -4,15 +4,15 @@ Each phase needs the one before, and has parts. Whoever comes takes parts that n
 k-th share of a phase, so that it finds in its cache what it made itself, and then helps the others. A phase is over
 when all its parts are done; a thread that comes late finds nothing left to do.
 
-The marks are int32, zeros at first: for each phase how many parts are done, then for each part whether it is taken.
+`marks` are (phases, parts + 1) int32, zeros at first: of each phase how many parts are done, and whether each is taken.
 """
 
 from __future__ import annotations
 
-from airline.kernels.atomics import add_one, let_others_run, look, swap_in_one
+from airline.kernels.atomics import atomic_add, atomic_exchange, atomic_load, sched_yield
 from airline.kernels.compiled import njit
 
-PATIENCE = 2000  # looks at what is not done yet, before other programs may have the core
+PATIENCE = 2000  # spins before other programs may have the core
 
 
 @njit(inline="always")
@@ -23,24 +23,24 @@ def bounds(marks, rows, unit, part):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def next_part(marks, phase, turn, who, crew):  # type: ignore[no-untyped-def]
-    """The part that thread `who` of `crew` comes to in its `turn`, if it is ours now; else -1."""
+def next_part(marks, phase, turn, who, threads):  # type: ignore[no-untyped-def]
+    """The part that thread `who` of so many comes to in its `turn`, if it is ours now; else -1."""
     parts = marks.shape[1] - 1
-    part = (turn + who * parts // crew) % parts
-    return part if swap_in_one(marks[phase, part + 1 :].ctypes.data) == 0 else -1
+    part = (turn + who * parts // threads) % parts
+    return part if atomic_exchange(marks[phase, part + 1 :].ctypes.data, 1) == 0 else -1
 
 
 @njit(inline="always")
 def finish(marks, phase):  # type: ignore[no-untyped-def]
     """A part of ours is done."""
-    add_one(marks[phase:].ctypes.data)
+    atomic_add(marks[phase:].ctypes.data, 1)
 
 
 @njit(inline="always")
 def wait(marks, phase):  # type: ignore[no-untyped-def]
     """Until all parts of a phase are done."""
-    address, looks = marks[phase:].ctypes.data, 0
-    while look(address) < marks.shape[1] - 1:
-        looks += 1
-        if looks > PATIENCE:
-            let_others_run()
+    address, spins = marks[phase:].ctypes.data, 0
+    while atomic_load(address) < marks.shape[1] - 1:
+        spins += 1
+        if spins > PATIENCE:
+            sched_yield()

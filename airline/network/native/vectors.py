@@ -1,4 +1,4 @@
-"""Vector instructions as LLVM knows them.
+"""SIMD instructions as LLVM knows them.
 
 A map is laid out in groups of four channels: each group is a plane of pixels with four bytes each, so that one vector
 holds a group of 8 or 16 neighbouring pixels, and one instruction multiplies and adds the four channels of all of them.
@@ -16,20 +16,12 @@ I8, I16, I32, I64, F32 = ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntTy
 
 TILE = 16  # pixels that are treated at once, in one vector or two
 
-# Numba compiles anew for tuples of other lengths. The first one's is the number of 32-bit lanes; the second one is
-# empty without VNNI, whose instructions multiply and add at once: then the sum of two products has to fit into 16 bits,
-# and weights have 7.
-Isa = tuple[tuple[int, ...], tuple[int, ...]]
-AVX512_VNNI: Isa = ((0,) * 16, (0,))
-AVX2_VNNI: Isa = ((0,) * 8, (0,))
-AVX2: Isa = ((0,) * 8, ())
-
 
 class Vectors:
     """Emits instructions on whole vectors; addresses and values are those of LLVM."""
 
     def __init__(self, builder: Any, isa: Any) -> None:
-        """For a builder, and numba's type of an `Isa`."""
+        """For a builder, and numba's type of a `processor.Isa`."""
         lanes, fused = isa
         self.builder, self.lanes, self.fused = builder, len(lanes), bool(len(fused))
         self.size, self.count = 4 * self.lanes, TILE // self.lanes  # bytes of a vector, vectors of a tile

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from airline.network.unet import UNet
 
 Ranges = dict[str, tuple[float, float]]
+End = Annotated[float, msgspec.Meta(gt=-1e6, lt=1e6)]
 
 BUNDLED = {
     "accurate": "c96a8cfd4795c610e73e560a0c2f9987d5e8aceb798ef3fc7a3b4094b94e4323",
@@ -53,10 +57,17 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
         WeightsError: missing, damaged, or not made for this network.
     """
     path, metadata, tensors = _read(weights)
-    try:
-        return _checked(metadata, tensors)
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise _unfit(path, error) from None
+    with _fitting(path):
+        spec = UNetSpec.from_metadata(metadata)
+        expected = spec.shapes()
+        if tensors.keys() != expected.keys():
+            raise ValueError(f"its tensors differ: {', '.join(sorted(tensors.keys() ^ expected.keys())[:3])}")
+        for name, tensor in tensors.items():
+            if tensor.shape != expected[name]:
+                raise ValueError(f"{name} has the shape {tensor.shape} and not {expected[name]}")
+            if tensor.dtype.kind != "f" or not np.isfinite(tensor).all():
+                raise ValueError("it holds values that are not finite numbers")
+    return spec, {name: tensor.astype(np.float32, copy=False) for name, tensor in tensors.items()}
 
 
 def load_ranges(weights: str | Path) -> Ranges:
@@ -65,10 +76,14 @@ def load_ranges(weights: str | Path) -> Ranges:
     Empty for a file that was written without them, or by an earlier version.
     """
     path, metadata, tensors = _read(weights)
-    try:
-        return _checked_ranges(json.loads(metadata.get("ranges", "{}")), tensors)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise _unfit(path, error) from None
+    convs = {name.removesuffix(".weight") for name in tensors if name.endswith(".weight")} - {"down.0.0"}
+    with _fitting(path):
+        ranges = msgspec.json.decode(metadata.get("ranges", "{}"), type=dict[str, tuple[End, End]])
+        if ranges and ranges.keys() != convs:
+            raise ValueError("its ranges are not those of its convolutions")
+        if any(low > high for low, high in ranges.values()):
+            raise ValueError("its ranges are no ranges of numbers")
+    return ranges
 
 
 def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[Any]]]:
@@ -89,9 +104,15 @@ def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[
         ) from None
 
 
-def _unfit(path: Path, error: Exception) -> WeightsError:
-    reason = " ".join(str(error).split())[:200]
-    return WeightsError(f"{path} does not hold weights of this edge network ({reason}): train with airline.train")
+@contextmanager
+def _fitting(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (KeyError, ValueError, RecursionError, msgspec.MsgspecError) as error:
+        why = " ".join(str(error).split())[:200]
+        raise WeightsError(
+            f"{path} does not hold weights of this edge network ({why}): train with airline.train"
+        ) from None
 
 
 def load_unet(weights: str | Path) -> UNet:
@@ -105,31 +126,6 @@ def load_unet(weights: str | Path) -> UNet:
         net = UNet(spec)
     net.load_state_dict({key: torch.from_numpy(value) for key, value in tensors.items()}, strict=True, assign=True)
     return net.eval()
-
-
-def _checked(metadata: dict[str, str], tensors: dict[str, NDArray[Any]]) -> tuple[UNetSpec, dict[str, Any]]:
-    """Shape and tensors that fit each other; raises KeyError, TypeError and ValueError."""
-    spec = UNetSpec.from_metadata(metadata)
-    expected = spec.shapes()
-    if tensors.keys() != expected.keys():
-        raise ValueError(f"its tensors differ: {', '.join(sorted(tensors.keys() ^ expected.keys())[:3])}")
-    for name, tensor in tensors.items():
-        if tensor.shape != expected[name]:
-            raise ValueError(f"{name} has the shape {tensor.shape} and not {expected[name]}")
-        if tensor.dtype.kind != "f" or not np.isfinite(tensor).all():
-            raise ValueError("it holds values that are not finite numbers")
-    return spec, {name: tensor.astype(np.float32, copy=False) for name, tensor in tensors.items()}
-
-
-def _checked_ranges(ranges: Any, tensors: dict[str, NDArray[Any]]) -> Ranges:
-    """Ranges that fit the tensors, or none; raises TypeError and ValueError."""
-    convs = {name.removesuffix(".weight") for name in tensors if name.endswith(".weight")} - {"down.0.0"}
-    if not isinstance(ranges, dict) or (ranges and ranges.keys() != convs):
-        raise ValueError("its ranges are not those of its convolutions")
-    checked = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-    if not all(-1e6 < low <= high < 1e6 for low, high in checked.values()):
-        raise ValueError("its ranges are no ranges of numbers")
-    return checked
 
 
 def save_unet(net: UNet, path: Path, ranges: Ranges | None = None, **notes: str) -> str:

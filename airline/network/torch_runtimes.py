@@ -1,11 +1,11 @@
-"""The edge network on a GPU: half precision, and one captured CUDA graph per image size."""
+"""The edge network in torch: on the CPU, which works everywhere, and on a GPU."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.image import Gray
-from airline.network.size_cache import Sizes
+from airline.network.spec import SIZES
 from airline.network.unet import UNet
 from airline.network.weights import load_unet
 
@@ -22,6 +22,22 @@ _WARM_UP = 3  # runs in which torch chooses its kernels: a graph must not hold t
 
 Network = Callable[[torch.Tensor], torch.Tensor]
 Capture = Callable[[Network, torch.Tensor], Callable[[], torch.Tensor]]
+
+
+class TorchNetwork:
+    """A U-Net in float32, eager, channels last; see `EdgeNetwork`. Raises WeightsError."""
+
+    name = "torch cpu f32"
+
+    def __init__(self, weights: str | Path | UNet) -> None:
+        net = weights if isinstance(weights, UNet) else load_unet(weights)
+        self._net: UNet = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def __call__(self, gray: Gray) -> NDArray[np.float32]:
+        with torch.inference_mode():
+            image = torch.from_numpy(gray.astype(np.float32))[None, None]
+            edges: NDArray[np.float32] = torch.sigmoid(self._net.answer(image)[0, 0]).contiguous().numpy()
+        return edges
 
 
 def captured(network: Network, image: torch.Tensor) -> Callable[[], torch.Tensor]:
@@ -43,29 +59,13 @@ def captured(network: Network, image: torch.Tensor) -> Callable[[], torch.Tensor
     return replay
 
 
-@dataclass(frozen=True)
-class _Sized:
-    """The network for one size and kind of image, and the memory around it; what the processor sees is pinned."""
-
-    given: torch.Tensor
-    image: torch.Tensor
-    run: Callable[[], torch.Tensor]
-    edges: torch.Tensor
-
-
 class CudaNetwork:
     """A U-Net on a GPU, in bfloat16 or, where the GPU has none, in float16; see `EdgeNetwork`.
 
     A network of this size is done sooner than Python can start its layers one by one, so they are captured once for
-    each size of image and replayed.
+    each size and kind of image as a CUDA graph and replayed.
 
-    Args:
-        weights: see `airline.network.runtimes.open_network`.
-        device, capture: for tests where there is no GPU.
-
-    Raises:
-        WeightsError: the weights cannot be used.
-        ConfigError: there is no CUDA device.
+    `device` and `capture` are for tests where there is no GPU. Raises WeightsError, and ConfigError without a GPU.
     """
 
     def __init__(self, weights: str | Path | UNet, device: str = "cuda", capture: Capture = captured) -> None:
@@ -76,7 +76,7 @@ class CudaNetwork:
         net = deepcopy(weights) if isinstance(weights, UNet) else load_unet(weights)  # the caller's stays as it is
         self._net: UNet = net.to(device, self._half).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._device, self._capture = device, capture
-        self._sizes = Sizes(self._sized)
+        self._ready = lru_cache(SIZES)(self._get_ready)
         self._lock = threading.Lock()
 
     @property
@@ -86,20 +86,23 @@ class CudaNetwork:
 
     def __call__(self, gray: Gray) -> NDArray[np.float32]:
         with self._lock, torch.inference_mode():
-            sized = self._sizes.of(gray.shape, torch.uint8 if gray.dtype == np.uint8 else torch.int32)
-            sized.given.numpy()[...] = gray
-            sized.image.copy_(sized.given, non_blocking=True)
-            sized.edges.copy_(sized.run(), non_blocking=True)
+            given, image, run, edges = self._ready(gray.shape, torch.uint8 if gray.dtype == np.uint8 else torch.int32)
+            given.numpy()[...] = gray
+            image.copy_(given, non_blocking=True)
+            edges.copy_(run(), non_blocking=True)
             if self._on_gpu:
                 torch.cuda.current_stream().synchronize()
-            edges: NDArray[np.float32] = sized.edges.numpy().copy()
-        return edges
+            found: NDArray[np.float32] = edges.numpy().copy()
+        return found
 
-    def _sized(self, shape: tuple[int, ...], kind: torch.dtype) -> _Sized:
+    def _get_ready(
+        self, shape: tuple[int, ...], kind: torch.dtype
+    ) -> tuple[torch.Tensor, torch.Tensor, Callable[[], torch.Tensor], torch.Tensor]:
+        """Pinned memory for the image, the GPU's, the network, and pinned memory for the edges."""
         given = torch.empty(shape, dtype=kind, pin_memory=self._on_gpu)
         image = torch.zeros(shape, dtype=kind, device=self._device)
         edges = torch.empty(shape, dtype=torch.float32, pin_memory=self._on_gpu)
-        return _Sized(given, image, self._capture(self._edges, image), edges)
+        return given, image, self._capture(self._edges, image), edges
 
     def _edges(self, image: torch.Tensor) -> torch.Tensor:
         return torch.sigmoid(self._net.answer(image.float()[None, None])[0, 0].float()).contiguous()
