@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import Parser, exit_code, write_json
+from airline.command import Parser, exit_code, number, track, write_json
 from airline.config import PRESETS, RUNTIMES
-from airline.evaluation.command import add_dataset, open_dataset, track
+from airline.errors import ConfigError
 
 if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect
@@ -39,16 +39,20 @@ def build_parser() -> Parser:
         epilog=LEGEND,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_dataset(parser)
-    parser.add_argument("--preset", default="default", help=f"{', '.join(PRESETS)} (default: %(default)s)")
-    parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
-    parser.add_argument("--runtime", choices=RUNTIMES, default="auto", help="where the edge network runs")
-    parser.add_argument(
+    add = parser.add_argument
+    add("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
+    add("--limit", type=number(int, 1), metavar="N", help="use only the first N images")
+    add("--preset", help=f"{', '.join(PRESETS)} (default: default)")
+    add("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
+    add("--runtime", choices=RUNTIMES, help="where the edge network runs (default: auto)")
+    add(
         "--predictions",
         type=Path,
         metavar="DIR",
         help="score the lines of another detector instead: text files like the annotation, one per image",
     )
+    add("--ablate", action="store_true", help="exchange one part of the default detector at a time instead")
+    parser.add_json()
     return parser
 
 
@@ -65,17 +69,31 @@ def run(options: argparse.Namespace) -> None:
     """
     from rich.console import Console
 
+    from airline.evaluation import ablation, tables
     from airline.evaluation.benchmark import measure, measure_files
-    from airline.evaluation.tables import tables
+    from airline.evaluation.dataset import load_dataset
 
-    samples = open_dataset(options)
+    given = [name for name in ("ablate", "predictions", "preset", "weights", "runtime") if getattr(options, name)]
+    if len(given) > 1 and given[0] in ("ablate", "predictions"):
+        raise ConfigError(f"--{given[0]} does not go with --{given[1]}: leave one of them away")
+    samples = load_dataset(options.dataset, options.limit)
+    if options.ablate:
+        rows = ablation.measure_variants(track(samples, "images", len(samples)))
+        console = Console(width=100)
+        console.print(tables.ablation(rows))
+        console.print(ablation.LEGEND, highlight=False)
+        write_json(options.json, {"images": len(samples), "rows": [{"name": name, **rows[name]} for name in rows]})
+        return
     if options.predictions is not None:
-        name, figures = options.predictions.resolve().name, measure_files(track(samples), options.predictions)
+        name, figures = (
+            options.predictions.resolve().name,
+            measure_files(track(samples, "images", len(samples)), options.predictions),
+        )
     else:
-        name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
-        figures = measure(track(samples), _detector(options))
+        name = "AirLine" if options.preset in (None, "default") else f"AirLine, {options.preset}"
+        figures = measure(track(samples, "images", len(samples)), _detector(options))
     console = Console()
-    for table in tables(name, figures):
+    for table in tables.tables(name, figures):
         console.print(table)
     console.print(LEGEND)
     write_json(options.json, {"images": len(samples), **figures})
@@ -84,13 +102,13 @@ def run(options: argparse.Namespace) -> None:
 def _detector(options: argparse.Namespace) -> Detect:
     import msgspec
 
-    from airline.config import preset as settings_of
+    from airline.config import preset
     from airline.detector import AirLine
 
-    config = settings_of(options.preset)
+    config = preset(options.preset or "default")
     if options.weights is not None:
         config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=options.weights))
-    detector = AirLine(config=config, runtime=options.runtime)
+    detector = AirLine(config=config, runtime=options.runtime or "auto")
     return lambda image: detector(image).segments
 
 

@@ -13,7 +13,7 @@ from airline.errors import InputError
 from airline.image import to_gray
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
-MAX_COORDINATE = 1e6  # px; the renderer draws with 32-bit integers
+MAX_COORDINATE = 1e6  # px; lines are drawn with 32-bit integers
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,7 @@ class Sample:
     dense: NDArray[np.float64]
 
     def read(self) -> NDArray[np.uint8]:
-        """The (H, W) grey image.
-
-        Raises:
-            InputError: the file is no image.
-        """
+        """The (H, W) grey image; InputError where the file is none."""
         image = cv2.imread(str(self.path), cv2.IMREAD_COLOR)
         if image is None:
             raise InputError(f"{self.path} cannot be read as an image: replace or remove it")
@@ -59,9 +55,7 @@ def load_dataset(folder: Path, limit: int | None = None) -> list[Sample]:
     paths = sorted(path for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)[:limit]
     if not paths:
         raise InputError(f"no images in {images}: put photographs (jpg, png, ...) there")
-    return [
-        Sample(path, read_lines(sparse / f"{path.stem}.txt"), read_lines(dense / f"{path.stem}.txt")) for path in paths
-    ]
+    return [Sample(path, *(read_lines(part / f"{path.stem}.txt") for part in (sparse, dense))) for path in paths]
 
 
 def read_lines(path: Path) -> NDArray[np.float64]:

@@ -11,15 +11,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
 from airline.training import checkpoint
-from airline.training.dataset import Sample
-from airline.training.loop import State, train
-from airline.training.loss import PixelWeights
-from airline.training.progress import TrainingProgress, training_progress
-from airline.training.schedule import Schedule
+from airline.training.crops import Crops
+from airline.training.loop import Schedule, State, train
 from airline.training.validation import Validation
 
 log = logging.getLogger("airline.train")
+
+LOG_EVERY = 30.0  # s, where no terminal shows a bar
+SHOW_EVERY = 0.2  # s
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,8 @@ class Session:
 
     Attributes:
         schedule: how long, and how fast.
-        validation: what to measure, not only at the end but
-        validate_every: so many seconds, too; each time a checkpoint is kept.
+        validation: what to measure at the end, and also
+        validate_every: so many seconds; each time a checkpoint is kept.
         settings: what a checkpoint must agree with.
         checkpoint: its file.
         sheets: folder for pictures of held-out samples.
@@ -42,48 +45,82 @@ class Session:
     checkpoint: Path
     sheets: Path
 
-    def run(self, state: State, samples: list[Sample], seed: int, weigh: PixelWeights) -> bool:
+    def run(self, state: State, crops: Crops) -> bool:
         """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it before.
 
         Raises:
             AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
         """
         checkpoint.restore(state, self.settings, self.checkpoint)
-        with training_progress(self.schedule.steps, state.step) as progress, first_interrupt() as asked:
+        with _Progress(self.schedule.steps, state.step) as progress, first_interrupt() as asked:
             validated = time.monotonic()
 
             def after_step(loss: float) -> bool:
                 nonlocal validated
-                progress.update(state.step, self._done(state), loss)
-                if time.monotonic() - validated >= self.validate_every and self._done(state) < 1:
-                    self._validate(state, progress)
+                done = self.schedule.done(state.step, state.seconds)
+                progress.show(state.step, done, loss)
+                if time.monotonic() - validated >= self.validate_every and done < 1:
+                    progress.score = self._validate(state)
                     checkpoint.save(state, self.settings, False, self.checkpoint)
                     validated = time.monotonic()
                 return asked.is_set()
 
-            train(state, samples, self.schedule, seed, weigh, after_step)
-            finished = self._done(state) >= 1
+            train(state, crops, self.schedule, after_step)
+            finished = self.schedule.done(state.step, state.seconds) >= 1
             if finished:
-                self._validate(state, progress)
+                self._validate(state)
             checkpoint.save(state, self.settings, finished, self.checkpoint)
         if not finished:
             log.info("stopped at step %d: the same command goes on from %s", state.step, self.checkpoint)
         return finished
 
-    def _done(self, state: State) -> float:
-        return self.schedule.done(state.step, state.seconds)
-
-    def _validate(self, state: State, progress: TrainingProgress) -> None:
+    def _validate(self, state: State) -> str:
         scores = self.validation.measure(state.net, state.device)
         latest = scores["photographs"].f2
         if latest >= state.best:
             state.best, state.best_step = latest, state.step
-        progress.score = f"F {latest:.1f}"
         for kind, score in scores.items():
             log.info("step %d  held-out %s: %s", state.step, kind, score)
         log.info("step %d  best F on photographs: %.1f at step %d", state.step, state.best, state.best_step)
         self.sheets.mkdir(exist_ok=True)
         self.validation.write_sheet(state.net, state.device, self.sheets / f"step-{state.step:06d}.png")
+        return f"F {latest:.1f}"
+
+
+class _Progress:
+    """Speed, loss and latest score: a bar on stderr if that is a terminal, else a log line every so often."""
+
+    def __init__(self, steps: int | None, first: int) -> None:
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+        self.score = ""
+        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._total, self._steps, self._loss = f"/{steps}" if steps else "", 0, 0.0
+        self._task = self._bar.add_task(f"step {first}{self._total}", total=1.0)
+        self._started = self._shown = self._logged = time.monotonic()
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def show(self, step: int, done: float, loss: float) -> None:
+        """Take note of a finished step, of a share of the training that is behind us, and of its loss."""
+        self._steps += 1
+        self._loss += max(0.02, 1 / self._steps) * (loss - self._loss)
+        now = time.monotonic()
+        if now - self._shown < SHOW_EVERY and done < 1:
+            return
+        self._shown = now
+        speed = self._steps / max(now - self._started, 1e-6)
+        text = f"step {step}{self._total}  {speed:.1f} steps/s  loss {self._loss:.4f}  {self.score}".rstrip()
+        if not self._bar.disable:
+            self._bar.update(self._task, completed=min(done, 1.0), description=text)
+        elif now - self._logged >= LOG_EVERY or done >= 1:
+            self._logged = now
+            log.info("%s", text)
 
 
 @contextmanager

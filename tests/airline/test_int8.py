@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from airline import AirLine
 from airline.config import Runtime
 from airline.errors import WeightsError
-from airline.evaluation.metrics import score
+from airline.evaluation.metrics import pixel_scores
 from airline.network import openvino_cpu, processor
 from airline.network.openvino_cpu import OpenVinoNetwork
 from airline.network.runtimes import open_network
@@ -161,7 +161,7 @@ def test_convolutions_take_8_bit_numbers_and_find_the_same_lines(
     detector = AirLine(runtime="openvino")
     ours = detector(scene)
     assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)
-    same = score(ours.segments, theirs.segments, theirs.segments, scene.shape)
+    same = pixel_scores(ours.segments, theirs.segments, theirs.segments, scene.shape)
     assert min(same.p1, same.r1) > 0.97, "pixels of the lines within 1 px of the others'"
     request = detector.edges.network._sizes.of(240, 320).request
     layers = [node.get_rt_info() for node in request.get_compiled_model().get_runtime_model().get_ops()]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from airline import AirLine
 from airline.errors import ConfigError
-from airline.evaluation.metrics import score
+from airline.evaluation.metrics import pixel_scores
 from airline.kernels.compiled import njit
 from airline.network.native import memory
 from airline.network.native import network as native
@@ -76,7 +76,7 @@ def test_agrees_with_torch(scene: np.ndarray, weights: str, isa: str, monkeypatc
 def test_finds_the_same_lines(scene: np.ndarray) -> None:
     ours, theirs = AirLine(runtime="native")(scene), AirLine(runtime="torch")(scene)
     assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)
-    same = score(ours.segments, theirs.segments, theirs.segments, scene.shape)
+    same = pixel_scores(ours.segments, theirs.segments, theirs.segments, scene.shape)
     assert min(same.p1, same.r1) > 0.97, "pixels of the lines within 1 px of the others'"
 
 

@@ -16,7 +16,7 @@ from airline.scenes import CameraEffects, RenderedClip, RenderedView, render_cli
 from airline.scenes.clip import build_scene, render_scene
 from airline.scenes.effects import blur_rotation, develop
 from airline.scenes.materials import Material
-from airline.scenes.paths import rotation
+from airline.scenes.camera import rotation
 from airline.scenes.primitives import WORLD, Light, Scene, SceneBuilder, Walk, merge_collinear
 
 KINDS = ("indoor", "street", "shelves")

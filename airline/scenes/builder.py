@@ -6,14 +6,33 @@ is seen from the side its normal u x v points to.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.scenes.materials import Material, Vec
+from airline.scenes.textures import texture_index
 
+Vec = tuple[float, float, float]
 PIPE_SIDES = 20
+
+
+@dataclass(frozen=True)
+class Material:
+    """A texture that blends two colours.
+
+    Attributes:
+        texture: index into the texture bank.
+        low, high: BGR linear albedo in [0, 1] where the texture is 0 and 1.
+        tile: size of one texture tile, m.
+    """
+
+    texture: int
+    low: Vec
+    high: Vec
+    tile: float
 
 
 @dataclass(frozen=True)
@@ -21,7 +40,7 @@ class Walk:
     """The free space a camera may move in, and where it looks.
 
     Attributes:
-        centre, reach: (3,) position = centre +- reach, m.
+        centre, reach: position = centre +- reach, m.
         yaw, sweep: looks towards yaw +- sweep, rad; yaw 0 is +x, counter-clockwise from above.
     """
 
@@ -81,10 +100,20 @@ class Light:
         return np.asarray(lambert * np.clip(1 + points @ self.gradient, 0.75, 1.25))
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A local coordinate system: origin and three orthonormal axes in the world."""
+# The axes that span each side of a box, in the order that turns its normal outwards.
+_PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z": (0, 1)}
 
+
+@dataclass(frozen=True)
+class Place:
+    """A local coordinate system of a scene under construction, whose methods add things to the scene.
+
+    Attributes:
+        scene: what is added to.
+        origin, x, y, z: the origin and the orthonormal axes in the world.
+    """
+
+    scene: SceneBuilder
     origin: Vec = (0.0, 0.0, 0.0)
     x: Vec = (1.0, 0.0, 0.0)
     y: Vec = (0.0, 1.0, 0.0)
@@ -92,40 +121,22 @@ class Frame:
 
     def point(self, p: Vec) -> Vec:
         """World position of the local point p."""
-        o, x, y, z = self.origin, self.x, self.y, self.z
-        return (
-            o[0] + x[0] * p[0] + y[0] * p[1] + z[0] * p[2],
-            o[1] + x[1] * p[0] + y[1] * p[1] + z[1] * p[2],
-            o[2] + x[2] * p[0] + y[2] * p[1] + z[2] * p[2],
-        )
+        axes = zip(self.origin, self.x, self.y, self.z, strict=True)
+        return _vec(o + x * p[0] + y * p[1] + z * p[2] for o, x, y, z in axes)
 
-    def moved(self, p: Vec, turn: float = 0.0) -> Frame:
-        """This frame moved to the local point p and turned about its z axis by `turn` rad."""
+    def moved(self, p: Vec, turn: float = 0.0) -> Place:
+        """This place moved to the local point p and turned about its z axis by `turn` rad."""
         c, s = float(np.cos(turn)), float(np.sin(turn))
-        x, y = self.x, self.y
-        turned_x = (c * x[0] + s * y[0], c * x[1] + s * y[1], c * x[2] + s * y[2])
-        turned_y = (c * y[0] - s * x[0], c * y[1] - s * x[1], c * y[2] - s * x[2])
-        return Frame(self.point(p), turned_x, turned_y, self.z)
+        x = _vec(c * x + s * y for x, y in zip(self.x, self.y, strict=True))
+        y = _vec(c * y - s * x for x, y in zip(self.x, self.y, strict=True))
+        return Place(self.scene, self.point(p), x, y, self.z)
 
-
-WORLD = Frame()
-# The axes that span each side of a box, in the order that turns its normal outwards.
-_PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z": (0, 1)}
-
-
-@dataclass
-class SceneBuilder:
-    """Collects faces, lines and pipes in local frames and turns them into a `Scene`."""
-
-    _corners: list[tuple[Vec, Vec, Vec]] = field(default_factory=list)
-    _materials: list[Material] = field(default_factory=list)
-    _shifts: list[tuple[float, float]] = field(default_factory=list)
-    _lines: list[tuple[Vec, Vec]] = field(default_factory=list)
-    _pipes: list[tuple[Vec, Vec, float, Material]] = field(default_factory=list)
+    def facing(self, origin: Vec, along: Vec) -> Place:
+        """The place at a world point whose x axis is the horizontal unit vector `along`."""
+        return Place(self.scene, origin, along, (-along[1], along[0], 0))
 
     def quad(
         self,
-        frame: Frame,
         corner: Vec,
         u: Vec,
         v: Vec,
@@ -137,86 +148,120 @@ class SceneBuilder:
 
         `shift` (m) moves the texture, so that the pieces of a split wall continue one another.
         """
-        a = frame.point(corner)
-        b = frame.point((corner[0] + u[0], corner[1] + u[1], corner[2] + u[2]))
-        d = frame.point((corner[0] + v[0], corner[1] + v[1], corner[2] + v[2]))
-        self._corners.append((a, b, d))
-        self._materials.append(material)
-        self._shifts.append(shift)
-        if edges:
-            c = (b[0] + d[0] - a[0], b[1] + d[1] - a[1], b[2] + d[2] - a[2])
-            sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
-            self._lines.extend(sides[name] for name in edges)
+        a, b, d = (self.point(p) for p in (corner, _sum(corner, u), _sum(corner, v)))
+        self.scene.faces.append(((a, b, d), material, shift))
+        c = _vec(p + q - r for p, q, r in zip(b, d, a, strict=True))
+        sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
+        self.scene.lines.extend(sides[name] for name in edges)
 
-    def box(self, frame: Frame, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ") -> None:
+    def box(self, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ") -> None:
         """Add a cuboid between local corners; `faces` names its sides: "x" at the low x, "X" at the high x, ..."""
         along = ((high[0] - low[0], 0.0, 0.0), (0.0, high[1] - low[1], 0.0), (0.0, 0.0, high[2] - low[2]))
         far = {"X": (high[0], low[1], low[2]), "Y": (low[0], high[1], low[2]), "Z": (low[0], low[1], high[2])}
         # Equal boxes in different places must not wear equal texture.
-        place = frame.point(low)
+        place = self.point(low)
         shift = (7.3 * place[0] + 3.1 * place[2], 5.9 * place[1] + 1.7 * place[2])
         for name in faces:
             i, j = _PLANES[name]
-            self.quad(frame, far.get(name, low), along[i], along[j], material, shift=shift)
+            self.quad(far.get(name, low), along[i], along[j], material, shift=shift)
 
-    def line(self, frame: Frame, start: Vec, end: Vec) -> None:
+    def line(self, start: Vec, end: Vec) -> None:
         """Add a straight edge."""
-        self._lines.append((frame.point(start), frame.point(end)))
+        self.scene.lines.append((self.point(start), self.point(end)))
 
-    def pipe(self, frame: Frame, start: Vec, end: Vec, radius: float, material: Material) -> None:
+    def pipe(self, start: Vec, end: Vec, radius: float, material: Material) -> None:
         """Add a cylinder without caps; its lines are the two outlines seen from the camera."""
-        self._pipes.append((frame.point(start), frame.point(end), radius, material))
+        self.scene.pipes.append((self.point(start), self.point(end), radius, material))
 
-    def build(self, light: Light, walk: Walk, sky: NDArray[np.float32]) -> Scene:
+
+Face = tuple[tuple[Vec, Vec, Vec], Material, tuple[float, float]]  # the ends of u and v beside the origin; shift
+
+
+@dataclass
+class SceneBuilder:
+    """What places have added; of pipes the axis, radius and material."""
+
+    faces: list[Face] = field(default_factory=list)
+    lines: list[tuple[Vec, Vec]] = field(default_factory=list)
+    pipes: list[tuple[Vec, Vec, float, Material]] = field(default_factory=list)
+
+    def build(self, light: Light, walk: Walk, sky: NDArray[np.float32] | None = None) -> Scene:
         """Shade the faces, merge lines that several faces share, and freeze everything."""
-        flat = len(self._corners)
-        for start, end, radius, material in self._pipes:
-            self._add_prism(np.asarray(start), np.asarray(end), radius, material)
-        a, b, d = np.asarray(self._corners, np.float64).reshape(-1, 3, 3).transpose(1, 0, 2)
+        flat = len(self.faces)
+        faces = [*self.faces, *(face for pipe in self.pipes for face in _prism(*pipe))]
+        materials = [material for _, material, _ in faces]
+        a, b, d = np.array([corners for corners, _, _ in faces], np.float64).reshape(-1, 3, 3).transpose(1, 0, 2)
         u, v = b - a, d - a
         normals = np.cross(u, v)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         corner_normals = np.repeat(normals[None], 3, axis=0)
-        for c, (start, end, _, _) in enumerate(self._pipes):
+        for c, (first, last, _, _) in enumerate(self.pipes):  # round, though drawn with flat sides
             rows = slice(flat + c * PIPE_SIDES, flat + (c + 1) * PIPE_SIDES)
-            axis = (np.asarray(end) - np.asarray(start)) / np.linalg.norm(np.asarray(end) - np.asarray(start))
+            start, axis = np.asarray(first), np.asarray(last) - np.asarray(first)
+            axis = axis / np.linalg.norm(axis)
             for k, points in enumerate((a, b, d)):
-                outward = points[rows] - np.asarray(start)
+                outward = points[rows] - start
                 outward -= np.outer(outward @ axis, axis)
                 corner_normals[k, rows] = outward / np.linalg.norm(outward, axis=1, keepdims=True)
         lights = [light.at(points, corner_normals[k]) for k, points in enumerate((a, b, d))]
-        tile = np.array([m.tile for m in self._materials])
-        shift = np.asarray(self._shifts, np.float64).reshape(-1, 2) / tile[:, None]
+        tile = np.array([m.tile for m in materials])
+        shift = np.array([shift for _, _, shift in faces], np.float64).reshape(-1, 2) / tile[:, None]
         along_u, along_v = np.linalg.norm(u, axis=1) / tile, np.linalg.norm(v, axis=1) / tile
         mapping = np.stack([shift[:, 0], along_u, shift[:, 1], along_v], axis=1)
         shades = np.stack([lights[0], lights[1] - lights[0], lights[2] - lights[0]], axis=1)
-        low, high = np.array([m.low for m in self._materials]), np.array([m.high for m in self._materials])
+        low, high = np.array([m.low for m in materials]), np.array([m.high for m in materials])
         return Scene(
             origins=a.copy(),
             u=u,
             v=v,
-            textures=np.array([m.texture for m in self._materials], np.int32),
+            textures=np.array([m.texture for m in materials], np.int32),
             materials=np.concatenate([mapping, shades, low, (high - low) / 255], axis=1).astype(np.float32),
-            lines=merge_collinear(np.asarray(self._lines, np.float64).reshape(-1, 2, 3)),
-            pipes=np.asarray([p[:2] for p in self._pipes], np.float64).reshape(-1, 2, 3),
-            radii=np.asarray([p[2] for p in self._pipes], np.float64),
+            lines=merge_collinear(np.asarray(self.lines, np.float64).reshape(-1, 2, 3)),
+            pipes=np.asarray([pipe[:2] for pipe in self.pipes], np.float64).reshape(-1, 2, 3),
+            radii=np.asarray([pipe[2] for pipe in self.pipes], np.float64),
             walk=walk,
-            sky=sky,
+            sky=np.ones((2, 3), np.float32) if sky is None else sky,
         )
 
-    def _add_prism(
-        self, start: NDArray[np.float64], end: NDArray[np.float64], radius: float, material: Material
-    ) -> None:
-        axis = end - start
-        side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 * np.linalg.norm(axis) else (0.0, 1.0, 0.0))
-        side *= radius / np.linalg.norm(side)
-        other = np.cross(axis, side) / np.linalg.norm(axis)
-        angles = 2 * np.pi * np.arange(PIPE_SIDES + 1) / PIPE_SIDES
-        ring = start + np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        for k in range(PIPE_SIDES):
-            self._corners.append((tuple(ring[k]), tuple(ring[k + 1]), tuple(ring[k] + axis)))
-            self._materials.append(material)
-            self._shifts.append((k * 2 * radius * float(np.sin(np.pi / PIPE_SIDES)), 0.0))
+
+def colour(rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float]) -> Vec:
+    """A random linear BGR colour with brightness and saturation within bounds."""
+    hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
+    return _vec(v * (1 - s * min(1.0, max(0.0, abs((hue + shift) % 6 - 3) - 1))) for shift in (2.0, 4.0, 0.0))
+
+
+def scaled(base: Vec, factor: float) -> Vec:
+    """A colour brighter or darker by a factor."""
+    return _vec(channel * factor for channel in base)
+
+
+def finish(rng: np.random.Generator, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
+    """A material whose colours lie around `base`, apart by the relative `contrast`."""
+    texture = texture_index(name, int(rng.integers(100)))
+    high = _vec(min(1.0, channel) for channel in scaled(base, 1 + contrast))
+    return Material(texture, scaled(base, 1 - contrast), high, tile)
+
+
+def _vec(values: Iterable[float]) -> Vec:
+    x, y, z = values
+    return x, y, z
+
+
+def _sum(p: Vec, q: Vec) -> Vec:
+    return p[0] + q[0], p[1] + q[1], p[2] + q[2]
+
+
+def _prism(first: Vec, last: Vec, radius: float, material: Material) -> list[Face]:
+    """The flat sides of a pipe."""
+    start, axis = np.asarray(first), np.asarray(last) - np.asarray(first)
+    side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 * np.linalg.norm(axis) else (0.0, 1.0, 0.0))
+    side *= radius / np.linalg.norm(side)
+    other = np.cross(axis, side) / np.linalg.norm(axis)
+    angles = 2 * np.pi * np.arange(PIPE_SIDES + 1) / PIPE_SIDES
+    ring = start + np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+    corners = ((_vec(p), _vec(q), _vec(p + axis)) for p, q in pairwise(ring))
+    half = float(np.sin(np.pi / PIPE_SIDES))
+    return [(side, material, (k * 2 * radius * half, 0.0)) for k, side in enumerate(corners)]
 
 
 def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> NDArray[np.float64]:
@@ -229,8 +274,6 @@ def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> N
     Returns:
         (L, 2, 3) float64 segments, L <= N.
     """
-    if not len(segments):
-        return segments
     direction = segments[:, 1] - segments[:, 0]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     rounded = np.round(direction, 5)
