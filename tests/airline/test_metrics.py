@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airline.evaluation.metrics import PixelScores, coverage, distance_to, draw, mean, score
+from airline.evaluation.metrics import PixelScores, coverage, distance_to, draw, mean, pixel_scores
 
 SHAPE = (40, 60)
 NONE = np.zeros((0, 2, 2))
@@ -25,61 +25,53 @@ PUBLISHED = {
 
 
 def test_the_annotation_itself_is_perfect() -> None:
-    scores = score(ROW, ROW, ROW, SHAPE)
+    scores = pixel_scores(ROW, ROW, ROW, SHAPE)
     assert scores == PixelScores((100.0,) * 6, 100.0, 100.0, 100.0, 100.0)
     assert scores.f1 == scores.f2 == 100.0
 
 
-def test_half_a_line() -> None:
-    half = np.array([[[10, 10], [19, 10]]], float)
-    scores = score(half, ROW, ROW, SHAPE)
-    assert scores.lp == pytest.approx((50, 55, 60, 65, 75, 100))
-    assert (scores.p1, scores.r1, scores.p2, scores.r2) == pytest.approx((100, 55, 100, 60))
-    assert scores.f2 == pytest.approx(75)
-    assert scores.f1 == pytest.approx(200 * 55 / 155)
-
-
-def test_twice_the_line() -> None:
-    twice = np.array([[[10, 10], [49, 10]]], float)
-    scores = score(twice, ROW, ROW, SHAPE)
-    assert scores.lp == (100.0,) * 6
-    assert (scores.p1, scores.p2) == pytest.approx((100 * 21 / 40, 100 * 22 / 40))
-    assert (scores.r1, scores.r2) == (100.0, 100.0)
-
-
 @pytest.mark.parametrize(
-    ("shift", "lp", "at_1", "at_2"), [(1, (0, *[100] * 5), 100, 100), (2, (0, 0, *[100] * 4), 0, 100)]
+    ("ends", "lp", "at_1", "at_2"),
+    [
+        ((10, 10, 19, 10), (50, 55, 60, 65, 75, 100), (100, 55), (100, 60)),  # half of it
+        ((10, 10, 49, 10), [100] * 6, (100 * 21 / 40, 100), (100 * 22 / 40, 100)),  # twice as long
+        ((10, 11, 29, 11), (0, *[100] * 5), (100, 100), (100, 100)),  # beside it
+        ((10, 12, 29, 12), (0, 0, *[100] * 4), (0, 0), (100, 100)),
+    ],
 )
-def test_shifted_lines(shift: int, lp: tuple[float, ...], at_1: float, at_2: float) -> None:
-    scores = score(ROW + (0, shift), ROW, ROW, SHAPE)
-    assert scores.lp == lp
-    assert (scores.p1, scores.r1, scores.f1) == (at_1,) * 3
-    assert (scores.p2, scores.r2, scores.f2) == (at_2,) * 3
+def test_a_line_that_is_not_quite_right(
+    ends: tuple[float, ...], lp: list[float], at_1: tuple[float, float], at_2: tuple[float, float]
+) -> None:
+    scores = pixel_scores(np.array(ends, float).reshape(1, 2, 2), ROW, ROW, SHAPE)
+    assert scores.lp == pytest.approx(lp)
+    assert (scores.p1, scores.r1, scores.p2, scores.r2) == pytest.approx((*at_1, *at_2))
+    assert scores.f2 == pytest.approx(2 * at_2[0] * at_2[1] / sum(at_2))
+    assert scores.f1 == pytest.approx(2 * at_1[0] * at_1[1] / max(sum(at_1), 1))
 
 
 def test_lp_reads_the_sparse_annotation_and_the_rest_the_dense_one() -> None:
     other = ROW + (0, 15)
-    scores = score(ROW, ROW, np.concatenate([ROW, other]), SHAPE)
+    scores = pixel_scores(ROW, ROW, np.concatenate([ROW, other]), SHAPE)
     assert scores.lp == (100.0,) * 6
     assert (scores.p2, scores.r2) == (100.0, 50.0)
 
 
 def test_the_neighbourhood_is_a_disk() -> None:
     point, diagonal = np.full((1, 2, 2), 10.0), np.full((1, 2, 2), 11.0)
-    assert score(point, diagonal, diagonal, SHAPE).lp == (0, 0, 100, 100, 100, 100)
+    assert pixel_scores(point, diagonal, diagonal, SHAPE).lp == (0, 0, 100, 100, 100, 100)
 
 
 def test_nothing_detected() -> None:
-    scores = score(NONE, ROW, ROW, SHAPE)
+    scores = pixel_scores(NONE, ROW, ROW, SHAPE)
     assert scores.lp == (0.0,) * 6
     assert (scores.p2, scores.r2, scores.f2, scores.f1) == (100.0, 0.0, 0.0, 0.0)
 
 
 def test_nothing_annotated() -> None:
-    scores = score(ROW, NONE, NONE, SHAPE)
+    scores = pixel_scores(ROW, NONE, NONE, SHAPE)
     assert scores.lp == (100.0,) * 6
     assert (scores.p2, scores.r2, scores.f2) == (0.0, 100.0, 0.0)
-    assert score(NONE, NONE, NONE, SHAPE).f2 == 100.0
+    assert pixel_scores(NONE, NONE, NONE, SHAPE).f2 == 100.0
 
 
 def test_f_score_of_a_mean_is_of_the_mean_precision_and_recall() -> None:
