@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code, image_size, number, write_json
-from airline.config import PRESETS, RUNTIMES, preset
+from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def build_parser() -> Parser:
     add("--runtime", choices=RUNTIMES, default="auto")
     add("--threads", type=number(int, 1), metavar="N", help="use so many processor cores (default: all)")
     add("--rounds", type=number(int, 1), default=5, metavar="N", help="over all images (default: %(default)s)")
-    add("--cost", type=Path, metavar="FILE.png", help="draw time over image size and lines; tell the network's floor")
+    add("--cost", type=Path, metavar="FILE.png", help="draw time over image size and number of lines")
     parser.add_json()
     return parser
 
@@ -58,14 +58,14 @@ def run(options: argparse.Namespace) -> None:
     detector = AirLine(options.preset, runtime=options.runtime)
     figures = measure(detector, pictures, options.rounds)
     size = "{}x{}".format(*options.size)
-    figures = {"preset": options.preset, "runtime": runtime_name(detector), "size": size, **figures}
+    runtime = getattr(detector.edges, "network", detector.edges)
+    name = getattr(runtime, "name", type(runtime).__name__)
+    figures = {"preset": options.preset, "runtime": name, "size": size, **figures}
     print(as_text(figures))
     if options.cost is not None:
         from airline.evaluation.cost import draw_cost
-        from airline.network.weights import load_weights
 
-        spec, _ = load_weights(preset(options.preset).edges.weights)
-        print(draw_cost(options.cost, detector, spec, options.images, options.size, options.rounds))
+        print(draw_cost(options.cost, detector, options.images, options.size, options.rounds))
     write_json(options.json, figures)
 
 
@@ -149,12 +149,6 @@ def _limit_cores(threads: int | None) -> None:
         raise ConfigError(f"--threads must be between 1 and {len(cores)}, not {threads}")
     os.sched_setaffinity(0, cores[:threads])
     os.environ["OMP_NUM_THREADS"] = str(threads)
-
-
-def runtime_name(detector: AirLine) -> str:
-    """What the detector's edges come from: a runtime and its precision, or a class."""
-    network = getattr(detector.edges, "network", None)
-    return network.name if network is not None else type(detector.edges).__name__
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """What the detector's time depends on: `python -m airline.bench --cost FILE.png`.
 
-The picture shows time over image size and, at one size, over the number of lines, beside OpenCV's LSD. Told is what the
-edge network has to do: its multiplications, and the bytes that its convolutions read and write.
+The picture shows time over image size and, at one size, over the number of lines, beside OpenCV's LSD.
 """
 
 from __future__ import annotations
@@ -16,18 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.bench import load_pictures, measure, runtime_name
+from airline.bench import load_pictures, measure
 from airline.evaluation.plots import COLOURS, new_axes, save
 from airline.scenes import RenderedClip
 
 if TYPE_CHECKING:
     from airline.detector import AirLine
-    from airline.network.spec import UNetSpec
 
 FACTORS = (0.5, 1, 1.5, 2, 3)  # sizes, relative to the one that is asked for
 KINDS = ("indoor", "street", "shelves")
 SEEDS = range(12, 18)
-BYTES = {"int8": 1, "bf16": 2, "f32": 4}  # of an activation
 CURVES = (
     (COLOURS[1], "s", "OpenCV LSD", "lsd_ms"),
     (COLOURS[0], "o", "AirLine", "total_ms"),
@@ -51,10 +48,8 @@ class Point:
         return self.total_ms - self.network_ms
 
 
-def draw_cost(
-    path: Path, detector: AirLine, spec: UNetSpec, images: Sequence[Path], size: tuple[int, int], rounds: int
-) -> str:
-    """Measure over sizes around `size` and over pictures of that size, draw both, and tell the work of the network.
+def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple[int, int], rounds: int) -> str:
+    """Measure over sizes around `size` and over pictures of that size, draw both, and give a table of the sizes.
 
     Raises:
         AirLineError: an image cannot be read, the picture not be written, or matplotlib is missing.
@@ -79,10 +74,6 @@ def draw_cost(
         name = "{}x{}".format(*sizes[factor])
         row = f"{name:10}{point.lines:6.0f}{point.network_ms:12.2f}{point.back_end_ms:17.2f}{point.lsd_ms:9.2f}"
         rows.append(f"{row}{point.lsd_ms / point.total_ms:12.2f}")
-    ms, (products, numbers) = over_sizes[1].network_ms, layer_costs(spec, *size[::-1])
-    moved = numbers * BYTES.get(runtime_name(detector).split()[-1], 4)
-    rows.append(f"network at {size[0]}x{size[1]}: {products / 1e9:.2f} GMAC at {products / ms / 1e6:.0f} GMAC/s,")
-    rows.append(f"  {moved / 1e6:.1f} MB in and out of its layers at {moved / ms / 1e6:.1f} GB/s")
     return "\n".join([*rows, f"wrote {path}"])
 
 
@@ -96,19 +87,3 @@ def _measure(detector: AirLine, pictures: Sequence[NDArray[Any]], rounds: int) -
     figures, (height, width) = measure(detector, pictures, rounds), pictures[0].shape
     times = figures["stage_ms"]["edges"], figures["total_ms"], figures["lsd_ms"]
     return Point(width * height / 1e6, figures["lines"], *times)
-
-
-def layer_costs(spec: UNetSpec, height: int, width: int) -> tuple[float, float]:
-    """Multiplications of the network for one image, and numbers that its convolutions read and write."""
-    rows, columns = (-(-side // spec.stride) * spec.stride // spec.unshuffle for side in (height, width))
-    products = moved = 0
-    for name, shape in spec.shapes().items():
-        if not name.endswith(".weight"):
-            continue
-        outputs, inputs, side, _ = shape
-        part, _, level = name.removesuffix(".weight").partition(".")
-        halvings = int(level.split(".")[0]) + (part == "lateral") if level else 0
-        pixels = (rows >> halvings) * (columns >> halvings)
-        products += pixels * outputs * inputs * side * side
-        moved += pixels * (outputs + inputs)
-    return float(products), float(moved)

@@ -17,6 +17,7 @@ from airline.scenes.textures import texture_index
 
 Vec = tuple[float, float, float]
 PIPE_SIDES = 20
+TOUCHING = 1e-3  # m: closer lines are one
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Light:
     Attributes:
         direction: unit vector towards the light.
         ambient, diffuse: strengths; a face that looks at the light gets their sum.
-        gradient: (3,) relative change of light per metre, the same everywhere, so that split walls stay seamless.
+        gradient: (3,) relative change of light per metre, everywhere alike, so that split walls stay seamless.
     """
 
     direction: NDArray[np.float64]
@@ -106,12 +107,7 @@ _PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z":
 
 @dataclass(frozen=True)
 class Place:
-    """A local coordinate system of a scene under construction, whose methods add things to the scene.
-
-    Attributes:
-        scene: what is added to.
-        origin, x, y, z: the origin and the orthonormal axes in the world.
-    """
+    """A local coordinate system (origin and orthonormal axes) whose methods add things to the scene, in its coordinates."""
 
     scene: SceneBuilder
     origin: Vec = (0.0, 0.0, 0.0)
@@ -264,16 +260,8 @@ def _prism(first: Vec, last: Vec, radius: float, material: Material) -> list[Fac
     return [(side, material, (k * 2 * radius * half, 0.0)) for k, side in enumerate(corners)]
 
 
-def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> NDArray[np.float64]:
-    """Union of the segments that lie on one line in space and overlap or touch.
-
-    Args:
-        segments: (N, 2, 3) end points, m.
-        tolerance: lines closer than about this are one line, m.
-
-    Returns:
-        (L, 2, 3) float64 segments, L <= N.
-    """
+def merge_collinear(segments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, 2, 3) unions of those of (N, 2, 3) segments that lie on one line in space and overlap or touch, m."""
     direction = segments[:, 1] - segments[:, 0]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     rounded = np.round(direction, 5)
@@ -284,12 +272,12 @@ def merge_collinear(segments: NDArray[np.float64], tolerance: float = 1e-3) -> N
     foot = segments[:, 0] - start[:, None] * direction
     start, end = np.minimum(start, end), np.maximum(start, end)
     # The odd offset keeps round coordinates away from the rounding boundary.
-    key = np.concatenate([np.round(direction * 2000 + 0.137), np.round(foot / tolerance + 0.137)], axis=1)
+    key = np.concatenate([np.round(direction * 2000 + 0.137), np.round(foot / TOUCHING + 0.137)], axis=1)
     weights = np.random.default_rng(0).integers(1, 2**62, 6)
     _, group = np.unique((key.astype(np.int64) * weights).sum(axis=1), return_inverse=True)
     merged: list[tuple[int, float, float]] = []
     for row in np.lexsort((start, group)):
-        if merged and group[merged[-1][0]] == group[row] and start[row] <= merged[-1][2] + tolerance:
+        if merged and group[merged[-1][0]] == group[row] and start[row] <= merged[-1][2] + TOUCHING:
             first, low, high = merged[-1]
             merged[-1] = (first, low, max(high, end[row]))
         else:

@@ -31,10 +31,10 @@ class RenderedView:
     Attributes:
         image: (H, W, 3) uint8 BGR.
         depth: (H, W) float32 distance along the optical axis, m; inf where there is sky.
-        segments_px: (N, 2, 2) float32 visible pieces of lines, px, (0, 0) at the centre of the top-left pixel.
+        segments_px: (N, 2, 2) float32 visible pieces of lines, px.
         segments_world: (N, 2, 3) float64 the same end points in space, m.
-        ids: (N,) int64 the physical line each piece belongs to, the same over the whole sequence. An outline of a pipe
-            keeps its id although its place on the pipe moves with the camera.
+        ids: (N,) int64 the physical line each piece belongs to, the same over the whole clip; an outline of a pipe
+            keeps its id although it moves over the pipe with the camera.
         K: (3, 3) float64 intrinsic matrix, px.
         pose: (4, 4) float64 world_from_camera; camera x right, y down, z forward.
         stamp_ns: time since the sequence's start, ns.
@@ -62,8 +62,7 @@ class RenderedClip:
         size: (width, height), px.
         effects: the camera's imperfections; None for the clean image. The ground truth does not depend on it.
         min_contrast: lines whose sides differ by less in the clean image are not ground truth, grey levels.
-        merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are, so that it can be
-            told where a detection may be either.
+        merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are.
     """
 
     kind: str = "indoor"
@@ -143,15 +142,7 @@ def render_scene(
     min_contrast: float,
     merge_doubles: bool = True,
 ) -> tuple[NDArray[np.float32], RenderedView]:
-    """The clean view of a scene.
-
-    Args:
-        scene: the world.
-        pose: (4, 4) world_from_camera.
-        K: (3, 3) intrinsic matrix with square pixels, px.
-        size: (width, height), px.
-        min_contrast: least difference between the two sides of a line, grey levels of the clean image.
-        merge_doubles: keep only the longest of lines closer than 1.5 px.
+    """The clean view of a scene from `pose` (world_from_camera) by a camera with square pixels; see `RenderedClip`.
 
     Returns:
         (H, W, 3) float32 linear BGR image, and the view at time 0 with that image under a plain display curve.

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Literal
 
 import torch
 from torch.nn import functional
@@ -16,8 +15,6 @@ from torch.nn import functional
 from airline.errors import ConfigError
 from airline.network.unet import UNet
 from airline.training.crops import Crops
-
-Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True)
@@ -61,10 +58,8 @@ class State:
     Attributes:
         net: the network, with batch normalisation.
         device: where it is trained.
-        step: number of steps behind us.
-        seconds: wall time behind us.
-        best: highest F-score of a validation so far, percent.
-        best_step: when that was.
+        step, seconds: what is behind us.
+        best: highest F-score of a validation so far, percent, at `best_step`.
     """
 
     net: UNet
@@ -80,8 +75,8 @@ class State:
         self.optimiser = torch.optim.AdamW(self.net.parameters(), weight_decay=1e-4)
 
 
-def find_device(name: Device) -> torch.device:
-    """The device of a name; "auto" is CUDA where there is one; ConfigError where "cuda" is not there."""
+def find_device(name: str) -> torch.device:
+    """The device "cpu", "cuda" or "auto", which is CUDA where there is one; ConfigError where "cuda" is not there."""
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("no CUDA device is available: use --device cpu or auto")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -20,9 +20,7 @@ from airline.training.loop import Schedule, State, train
 from airline.training.validation import Validation
 
 log = logging.getLogger("airline.train")
-
 LOG_EVERY = 30.0  # s, where no terminal shows a bar
-SHOW_EVERY = 0.2  # s
 
 
 @dataclass(frozen=True)
@@ -52,15 +50,25 @@ class Session:
             AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
         """
         checkpoint.restore(state, self.settings, self.checkpoint)
-        with _Progress(self.schedule.steps, state.step) as progress, first_interrupt() as asked:
-            validated = time.monotonic()
+        console, steps = Console(stderr=True), f"/{self.schedule.steps}" if self.schedule.steps else ""
+        columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
+        first, smoothed, score = state.step, 0.0, ""
+        with Progress(*columns, console=console, disable=not console.is_terminal) as bar, first_interrupt() as asked:
+            task = bar.add_task(f"step {first}{steps}", total=1.0)
+            started = validated = logged = time.monotonic()
 
             def after_step(loss: float) -> bool:
-                nonlocal validated
-                done = self.schedule.done(state.step, state.seconds)
-                progress.show(state.step, done, loss)
-                if time.monotonic() - validated >= self.validate_every and done < 1:
-                    progress.score = self._validate(state)
+                nonlocal smoothed, score, validated, logged
+                done, now, count = self.schedule.done(state.step, state.seconds), time.monotonic(), state.step - first
+                smoothed += max(0.02, 1 / count) * (loss - smoothed)
+                speed = count / max(now - started, 1e-6)
+                text = f"step {state.step}{steps}  {speed:.1f} steps/s  loss {smoothed:.4f}  {score}".rstrip()
+                bar.update(task, completed=min(done, 1.0), description=text)
+                if bar.disable and (now - logged >= LOG_EVERY or done >= 1):
+                    logged = now
+                    log.info("%s", text)
+                if now - validated >= self.validate_every and done < 1:
+                    score = self._validate(state)
                     checkpoint.save(state, self.settings, False, self.checkpoint)
                     validated = time.monotonic()
                 return asked.is_set()
@@ -75,52 +83,18 @@ class Session:
         return finished
 
     def _validate(self, state: State) -> str:
+        """Log the scores and write a picture; the score for the progress bar."""
         scores = self.validation.measure(state.net, state.device)
-        latest = scores["photographs"].f2
+        latest = scores["photographs"][1].f2
         if latest >= state.best:
             state.best, state.best_step = latest, state.step
-        for kind, score in scores.items():
-            log.info("step %d  held-out %s: %s", state.step, kind, score)
+        for kind, (loss, lines) in scores.items():
+            figures = loss, lines.f2, lines.p2, lines.r2
+            log.info("step %d  held-out %s: loss %.4f, F %.1f (P %.1f, R %.1f)", state.step, kind, *figures)
         log.info("step %d  best F on photographs: %.1f at step %d", state.step, state.best, state.best_step)
         self.sheets.mkdir(exist_ok=True)
         self.validation.write_sheet(state.net, state.device, self.sheets / f"step-{state.step:06d}.png")
         return f"F {latest:.1f}"
-
-
-class _Progress:
-    """Speed, loss and latest score: a bar on stderr if that is a terminal, else a log line every so often."""
-
-    def __init__(self, steps: int | None, first: int) -> None:
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-        self.score = ""
-        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._total, self._steps, self._loss = f"/{steps}" if steps else "", 0, 0.0
-        self._task = self._bar.add_task(f"step {first}{self._total}", total=1.0)
-        self._started = self._shown = self._logged = time.monotonic()
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def show(self, step: int, done: float, loss: float) -> None:
-        """Take note of a finished step, of a share of the training that is behind us, and of its loss."""
-        self._steps += 1
-        self._loss += max(0.02, 1 / self._steps) * (loss - self._loss)
-        now = time.monotonic()
-        if now - self._shown < SHOW_EVERY and done < 1:
-            return
-        self._shown = now
-        speed = self._steps / max(now - self._started, 1e-6)
-        text = f"step {step}{self._total}  {speed:.1f} steps/s  loss {self._loss:.4f}  {self.score}".rstrip()
-        if not self._bar.disable:
-            self._bar.update(self._task, completed=min(done, 1.0), description=text)
-        elif now - self._logged >= LOG_EVERY or done >= 1:
-            self._logged = now
-            log.info("%s", text)
 
 
 @contextmanager

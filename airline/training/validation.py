@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from airline.detector import AirLine
 from airline.errors import InputError
-from airline.evaluation.metrics import mean, pixel_scores
+from airline.evaluation.metrics import PixelScores, mean, pixel_scores
 from airline.image import scale_points
 from airline.network.unet import UNet
 from airline.stages.edges import UNetEdges
@@ -25,26 +25,6 @@ TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
 SEED = 12345  # of the crops for the loss
 BATCHES = 4  # of them
 PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
-
-
-@dataclass(frozen=True)
-class Score:
-    """Scores on one kind of held-out samples.
-
-    Attributes:
-        loss: mean over fixed augmented crops.
-        p2: precision at 2 px of the detector's lines against the labels, percent.
-        r2: recall likewise.
-        f2: F-score of the two.
-    """
-
-    loss: float
-    p2: float
-    r2: float
-    f2: float
-
-    def __str__(self) -> str:
-        return f"loss {self.loss:.4f}, F {self.f2:.1f} (P {self.p2:.1f}, R {self.r2:.1f})"
 
 
 def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
@@ -62,14 +42,20 @@ class Validation:
         own = {kind: replace(crops, samples=samples, seed=SEED) for kind, samples in self._kinds.items()}
         self._crops = {kind: [each.at(step) for step in range(BATCHES)] for kind, each in own.items()}
 
-    def measure(self, net: UNet, device: torch.device) -> dict[str, Score]:
-        """Scores by kind of sample; the network is as before afterwards."""
+    def measure(self, net: UNet, device: torch.device) -> dict[str, tuple[float, PixelScores]]:
+        """By kind of sample, the mean loss on fixed crops, and scores of the detector's lines against trusted labels.
+
+        The network is as before afterwards.
+        """
         plain = _folded(net, device)
-        detector = _detector(plain)
-        return {
-            kind: Score(_mean_loss(plain, self._crops[kind], device), *_line_scores(detector, samples))
-            for kind, samples in self._kinds.items()
-        }
+        detector, found = _detector(plain), {}
+        for kind, samples in self._kinds.items():
+            scores = []
+            for sample in samples:
+                trusted = sample.pieces[sample.shares >= TRUSTED]
+                scores.append(pixel_scores(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
+            found[kind] = _mean_loss(plain, self._crops[kind], device), mean(scores)
+        return found
 
     def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
         """A picture of three photographs and a scene (four photographs where there are no scenes).
@@ -91,16 +77,6 @@ def _mean_loss(net: UNet, crops: list[Batch], device: torch.device) -> float:
         image, target, weights = (part.to(device) for part in batch)
         losses.append(edge_loss(net(image.contiguous(memory_format=torch.channels_last)), target, weights).item())
     return float(np.mean(losses))
-
-
-def _line_scores(detector: AirLine, samples: list[Sample]) -> tuple[float, float, float]:
-    """P, R and F at 2 px of the detected lines against the trusted pieces, percent."""
-    scores = []
-    for sample in samples:
-        trusted = sample.pieces[sample.shares >= TRUSTED]
-        scores.append(pixel_scores(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
-    overall = mean(scores)
-    return overall.p2, overall.r2, overall.f2
 
 
 def _sheet_row(sample: Sample, detector: AirLine) -> NDArray[np.uint8]:

@@ -9,12 +9,8 @@ from pathlib import Path
 
 import cv2
 import pytest
-import torch
 
 from airline.bench import main
-from airline.evaluation.cost import layer_costs
-from airline.network.spec import SPECS
-from airline.network.unet import UNet
 
 STAGES = ["edges", "pixels", "orientation", "grow", "fit", "refine"]
 
@@ -54,27 +50,8 @@ def test_cost_is_drawn_and_told(pictures: list[str], tmp_path: Path, capsys: pyt
     assert main([*pictures, "--cost", str(out), "--size", "160x120", "--rounds", "1"]) == 0
     assert cv2.imread(str(out)).shape[0] > 300
     printed = capsys.readouterr().out
-    for text in ("80x60", "\n160x120", "480x360", "network at 160x120: 0.03 GMAC", f"wrote {out}"):
+    for text in ("80x60", "\n160x120", "480x360", f"wrote {out}"):
         assert text in printed
-
-
-@pytest.mark.parametrize("name", SPECS)
-def test_multiplications_are_those_of_the_convolutions_that_run(name: str) -> None:
-    spec = SPECS[name]
-    net = UNet(spec)
-    counted = {"products": 0, "numbers": 0}
-
-    def count(layer: torch.nn.Conv2d, inputs: tuple[torch.Tensor], output: torch.Tensor) -> None:
-        counted["products"] += output.numel() * layer.weight[0].numel()
-        counted["numbers"] += inputs[0].numel() + output.numel()
-
-    for layer in net.modules():
-        if isinstance(layer, torch.nn.Conv2d):
-            layer.register_forward_hook(count)
-    with torch.inference_mode():
-        net(torch.zeros(1, 1, 2 * spec.stride, 3 * spec.stride))
-    found = layer_costs(spec, 2 * spec.stride - 1, 3 * spec.stride)  # sides are filled up to the stride
-    assert found == (counted["products"], counted["numbers"])
 
 
 @pytest.mark.parametrize(

@@ -68,12 +68,9 @@ def test_wrong_effects_are_refused(effect: dict[str, float]) -> None:
 def test_ground_truth_is_consistent(kind: str, size: tuple[int, int]) -> None:
     view = RenderedClip(kind=kind, seed=1, frames=31, size=size).render(30)
     width, height = size
-    assert view.image.shape == (height, width, 3)
-    assert view.image.dtype == np.uint8
-    assert view.depth.shape == (height, width)
-    assert view.depth.dtype == np.float32
-    assert view.segments_px.dtype == np.float32
-    assert view.ids.dtype == np.int64
+    assert (view.image.shape, view.image.dtype) == ((height, width, 3), np.uint8)
+    assert (view.depth.shape, view.depth.dtype) == ((height, width), np.float32)
+    assert (view.segments_px.dtype, view.ids.dtype) == (np.float32, np.int64)
     assert len(view.ids) == len(view.segments_px) == len(view.segments_world) > 5
     assert view.stamp_ns == 1_000_000_000
     assert not np.isnan(view.depth).any()
@@ -280,13 +277,12 @@ def test_a_static_camera_sees_the_same_lines_under_new_noise() -> None:
 
 
 def test_effects_do_not_touch_the_ground_truth() -> None:
-    plain = RenderedClip(seed=1, frames=1, size=(160, 120), effects=None).render(0)
-    rough = RenderedClip(seed=1, frames=1, size=(160, 120), effects=CameraEffects(noise_sigma=20, exposure=0.2)).render(
-        0
-    )
-    assert np.array_equal(plain.segments_px, rough.segments_px)
-    assert np.array_equal(plain.depth, rough.depth)
-    assert rough.image.mean() < plain.image.mean()
+    rough = CameraEffects(noise_sigma=20, exposure=0.2)
+    clips = (RenderedClip(seed=1, frames=1, size=(160, 120), effects=effects) for effects in (None, rough))
+    plain, noisy = (clip.render(0) for clip in clips)
+    assert np.array_equal(plain.segments_px, noisy.segments_px)
+    assert np.array_equal(plain.depth, noisy.depth)
+    assert noisy.image.mean() < plain.image.mean()
 
 
 _OFF = CameraEffects(exposure_jitter=0, noise_sigma=0, motion_blur=0, lens_blur=0, vignetting=0)
@@ -294,18 +290,20 @@ _OFF = CameraEffects(exposure_jitter=0, noise_sigma=0, motion_blur=0, lens_blur=
 
 def test_noise_vignetting_gamma_and_exposure() -> None:
     grey = np.full((200, 300, 3), 0.25, np.float32)
-    assert (develop(grey, 1.0, _OFF, 0, 0) == round(255 * 0.25 ** (1 / 2.2))).all()
-    assert (develop(grey, 1.0, dataclasses.replace(_OFF, gamma=1.0), 0, 0) == 64).all()
-    assert (develop(grey, 2.0, dataclasses.replace(_OFF, gamma=1.0), 0, 0) == 128).all()
-    assert (develop(grey, 9.0, _OFF, 0, 0) == 255).all()
-    noisy = develop(grey, 1.0, dataclasses.replace(_OFF, noise_sigma=6), 0, 0).astype(float)
+
+    def seen(exposure: float, frame: int = 0, **effects: float) -> NDArray[np.float64]:
+        return develop(grey, exposure, dataclasses.replace(_OFF, **effects), 0, frame).astype(float)
+
+    assert (seen(1.0) == round(255 * 0.25 ** (1 / 2.2))).all()
+    assert (seen(1.0, gamma=1.0) == 64).all()
+    assert (seen(2.0, gamma=1.0) == 128).all()
+    assert (seen(9.0) == 255).all()
+    noisy, dimmed = seen(1.0, noise_sigma=6), seen(1.0, gamma=1.0, vignetting=0.5)
     assert noisy.std() == pytest.approx(6, rel=0.03)
     assert noisy.mean() == pytest.approx(135.8, abs=0.1)
     assert abs(np.corrcoef(noisy[:, :-1].ravel(), noisy[:, 1:].ravel())[0, 1]) < 0.02
-    assert not np.array_equal(noisy, develop(grey, 1.0, dataclasses.replace(_OFF, noise_sigma=6), 0, 1))
-    dimmed = develop(grey, 1.0, dataclasses.replace(_OFF, gamma=1.0, vignetting=0.5), 0, 0)
-    assert dimmed[100, 150, 0] == 64
-    assert dimmed[0, 0, 0] == 32
+    assert not np.array_equal(noisy, seen(1.0, frame=1, noise_sigma=6))
+    assert (dimmed[100, 150, 0], dimmed[0, 0, 0]) == (64, 32)
 
 
 def test_motion_blur_smears_along_the_motion_only() -> None:
@@ -319,19 +317,10 @@ def test_motion_blur_smears_along_the_motion_only() -> None:
     assert ((along > 0.02) & (along < 0.98)).sum() <= 2
 
 
-def test_fast_motion_is_blurred() -> None:
-    sharp, smeared = (
-        RenderedClip(motion="fast", seed=1, frames=10, effects=dataclasses.replace(_OFF, motion_blur=share))
-        .render(5)
-        .image
-        for share in (0.0, 0.8)
-    )
-    assert np.abs(cv2.Laplacian(smeared, cv2.CV_32F)).mean() < 0.7 * np.abs(cv2.Laplacian(sharp, cv2.CV_32F)).mean()
-
-
-def test_exposure_drifts() -> None:
-    sequence = RenderedClip(
-        motion="static", frames=90, size=(64, 64), effects=dataclasses.replace(_OFF, exposure_jitter=0.5)
-    )
-    levels = [sequence.render(i).image.mean() for i in range(0, 90, 10)]
+def test_fast_motion_is_blurred_and_exposure_drifts() -> None:
+    clips = (RenderedClip(motion="fast", seed=1, effects=dataclasses.replace(_OFF, motion_blur=b)) for b in (0.0, 0.8))
+    sharp, smeared = (np.abs(cv2.Laplacian(clip.render(5).image, cv2.CV_32F)).mean() for clip in clips)
+    assert smeared < 0.7 * sharp
+    drifting = RenderedClip(motion="static", size=(64, 64), effects=dataclasses.replace(_OFF, exposure_jitter=0.5))
+    levels = [drifting.render(i).image.mean() for i in range(0, 90, 10)]
     assert max(levels) > 1.1 * min(levels)
