@@ -45,12 +45,7 @@ def build_parser() -> Parser:
     add("--preset", help=f"{', '.join(PRESETS)} (default: default)")
     add("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
     add("--runtime", choices=RUNTIMES, help="where the edge network runs (default: auto)")
-    add(
-        "--predictions",
-        type=Path,
-        metavar="DIR",
-        help="score the lines of another detector instead: text files like the annotation, one per image",
-    )
+    add("--predictions", type=Path, metavar="DIR", help="score text files of lines instead, one per image")
     add("--ablate", action="store_true", help="exchange one part of the default detector at a time instead")
     parser.add_json()
     return parser
@@ -62,40 +57,31 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate, print the tables and write the JSON.
-
-    Raises:
-        AirLineError: an argument or file cannot be used.
-    """
+    """Evaluate, print the tables and write the JSON; raises AirLineError."""
     from rich.console import Console
 
-    from airline.evaluation import ablation, tables
-    from airline.evaluation.benchmark import measure, measure_files
+    from airline.evaluation import ablation, benchmark, tables
     from airline.evaluation.dataset import load_dataset
 
     given = [name for name in ("ablate", "predictions", "preset", "weights", "runtime") if getattr(options, name)]
     if len(given) > 1 and given[0] in ("ablate", "predictions"):
         raise ConfigError(f"--{given[0]} does not go with --{given[1]}: leave one of them away")
     samples = load_dataset(options.dataset, options.limit)
+    shown = track(samples, "images", len(samples))
+    console, legend = Console(width=110 if options.ablate else None), LEGEND
     if options.ablate:
-        rows = ablation.measure_variants(track(samples, "images", len(samples)))
-        console = Console(width=100)
-        console.print(tables.ablation(rows))
-        console.print(ablation.LEGEND, highlight=False)
-        write_json(options.json, {"images": len(samples), "rows": [{"name": name, **rows[name]} for name in rows]})
-        return
-    if options.predictions is not None:
-        name, figures = (
-            options.predictions.resolve().name,
-            measure_files(track(samples, "images", len(samples)), options.predictions),
-        )
+        rows, legend = ablation.measure_variants(shown), ablation.LEGEND
+        printed, figures = [tables.ablation(rows)], {"rows": [{"name": name, **rows[name]} for name in rows]}
+    elif options.predictions is not None:
+        figures = benchmark.measure_files(shown, options.predictions)
+        printed = tables.tables(options.predictions.resolve().name, figures)
     else:
+        figures = benchmark.measure(shown, _detector(options))
         name = "AirLine" if options.preset in (None, "default") else f"AirLine, {options.preset}"
-        figures = measure(track(samples, "images", len(samples)), _detector(options))
-    console = Console()
-    for table in tables.tables(name, figures):
+        printed = tables.tables(name, figures)
+    for table in printed:
         console.print(table)
-    console.print(LEGEND)
+    console.print(legend, highlight=False)
     write_json(options.json, {"images": len(samples), **figures})
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -14,17 +13,20 @@ LINES = {"lines": 1, "repeatability": 3, "localisation": 3, "ms": 1}  # decimals
 TITLES = {"localisation": "localisation, px", "ms": "median ms"}
 
 
-def tables(name: str, figures: Figures) -> Iterator[Table]:
+def tables(name: str, figures: Figures) -> list[Table]:
     """What was measured of the detector `name`, and of LSD where that ran beside it."""
     rivals = {name: figures} | ({"LSD": figures["lsd"]} if "lsd" in figures else {})
-    yield _table("Scores, %", rivals, dict.fromkeys((*PIXELS, "f1"), 1))
-    yield _table("Lines per image", rivals, {key: n for key, n in LINES.items() if key in figures}, lp=False)
+    found = [
+        _table("Scores, %", rivals, dict.fromkeys((*PIXELS, "f1"), 1)),
+        _table("Lines per image", rivals, {key: n for key, n in LINES.items() if key in figures}, lp=False),
+    ]
     if "bad_light" in figures:
         rows = {}
         for light, scores in figures["bad_light"].items():
             entries = {name: scores, "LSD": scores["lsd"], "LSD, prepared": scores["lsd_prepared"]}
             rows.update({f"{light}: {row}": entry for row, entry in entries.items()})
-        yield _table("Bad light, %", rows, dict.fromkeys(PIXELS, 1), lp=False)
+        found.append(_table("Bad light, %", rows, dict.fromkeys(PIXELS, 1), lp=False))
+    return found
 
 
 def ablation(rows: dict[str, Figures]) -> Table:

@@ -107,7 +107,7 @@ _PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z":
 
 @dataclass(frozen=True)
 class Place:
-    """A local coordinate system (origin and orthonormal axes) whose methods add things to the scene, in its coordinates."""
+    """A local coordinate system (origin, orthonormal axes) whose methods add things to the scene in its coordinates."""
 
     scene: SceneBuilder
     origin: Vec = (0.0, 0.0, 0.0)

@@ -107,15 +107,9 @@ def _rasterize(functions, bounds, samples, first_row, columns, nearest, index): 
                         high = min(high, x)
                 start, stop = int(np.ceil(low)), int(np.floor(high)) + 1
                 if start < stop:
+                    near, face = nearest[s, y - first_row, start:stop], index[s, y - first_row, start:stop]
                     constant = np.float32(g[2, 0] * dx + g[2, 1] * (y + dy) + g[2, 2])
-                    _fill(
-                        nearest[s, y - first_row, start:stop],
-                        index[s, y - first_row, start:stop],
-                        columns[start:stop],
-                        np.float32(g[2, 0]),
-                        constant,
-                        np.int32(f),
-                    )
+                    _fill(near, face, columns[start:stop], np.float32(g[2, 0]), constant, np.int32(f))
 
 
 @njit()

@@ -24,7 +24,7 @@ def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     rows = {row["name"]: row for row in report["rows"]}
     assert list(rows) == [*VARIANTS, "Hough transform", "LSD"]
     printed = capsys.readouterr().out.splitlines()
-    assert max(map(len, printed)) <= 100
+    assert max(map(len, printed)) <= 110
     for name, row in rows.items():
         assert list(row["lp"]) == ["0", "1", "2", "3", "5", "10"]
         assert all(math.isfinite(value) for key, value in row.items() if key not in ("name", "lp"))

@@ -180,6 +180,10 @@ def test_dataset(dataset: Path) -> None:
     assert [(len(sample.sparse), len(sample.dense)) for sample in samples] == [(4, 4), (4, 8)]
     assert samples[0].read().shape == SHAPE
     assert len(load_dataset(dataset, limit=1)) == 1
+    for path in (dataset / "images").iterdir():
+        path.unlink()
+    with pytest.raises(InputError, match="no images in"):
+        load_dataset(dataset)
 
 
 # the measurements and the command
@@ -213,11 +217,7 @@ def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert set(figures) == {"images", *RUN_KEYS, "lsd", "bad_light"}
     assert set(figures["lsd"]) == set(RUN_KEYS)
     assert figures["images"] == 2
-    for scores in (figures, figures["lsd"]):
-        assert list(scores["lp"]) == ["0", "1", "2", "3", "5", "10"]
-        assert scores["p2"] > 90
-        assert scores["r2"] > 90
-        assert scores["ms"] > 0
+    assert min(scores[key] for scores in (figures, figures["lsd"]) for key in ("p2", "r2")) > 90
     assert set(figures["bad_light"]) == set(BAD_LIGHT) == {"dark", "blur", "bright"}
     printed = capsys.readouterr().out
     for word in ("AirLine", "LSD", "LP10", "P2", "repeatability", "dark: LSD, prepared"):
@@ -240,14 +240,6 @@ def test_command_scores_predictions(dataset: Path, tmp_path: Path, capsys: pytes
     assert "lines_cho" in capsys.readouterr().out
 
 
-def _damage(dataset: Path, part: str, content: str | None) -> None:
-    """Overwrite a file, or take a file or folder away."""
-    if content is None:
-        (dataset / part).rename(dataset / "elsewhere")
-    else:
-        (dataset / part).write_text(content)
-
-
 @pytest.mark.parametrize(
     ("part", "content", "message"),
     [
@@ -260,19 +252,15 @@ def _damage(dataset: Path, part: str, content: str | None) -> None:
 def test_bad_data_is_one_sentence(
     dataset: Path, capsys: pytest.CaptureFixture[str], part: str, content: str | None, message: str
 ) -> None:
-    _damage(dataset, part, content)
+    if content is None:
+        (dataset / part).rename(dataset / "elsewhere")
+    else:
+        (dataset / part).write_text(content)
     assert main([str(dataset)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert message in error
     assert error.count("\n") == 1
-
-
-def test_no_images_are_an_error(dataset: Path) -> None:
-    for path in (dataset / "images").iterdir():
-        path.unlink()
-    with pytest.raises(InputError, match="no images in"):
-        load_dataset(dataset)
 
 
 @pytest.mark.parametrize(
