@@ -16,11 +16,12 @@ import torch
 
 from airline.command import EXIT_USER_ERROR, Parser, StderrHandler, number
 from airline.errors import AirLineError, InputError
+from airline.evaluation.dataset import list_images
 from airline.network.spec import SPECS
 from airline.network.unet import UNet
 from airline.network.weights import save_unet
 from airline.training.crops import Crops
-from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, list_images, load_samples, render_samples
+from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_samples, render_samples
 from airline.training.loop import Schedule, State, find_device
 from airline.training.ranges import measure_ranges
 from airline.training.session import Session
@@ -56,14 +57,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seed", type=number(int, 0, 2**63), default=0, metavar="N", help="of weights, crops and held-out photographs")
     add("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to train (default: %(default)s)")
     add("--validate-every", type=number(float, 0.01), default=180, metavar="SECONDS", help="(default: 180)")
-    add(
-        "--loss-weight",
-        type=number(float, 0, 1),
-        default=weight,
-        metavar="W",
-        help="of pixels near lines, the loss's w",
-    )
-    add("--loss-radius", type=number(int, 0, 51), default=radius, metavar="R", help="how near, px, the loss's r")
+    add("--loss-weight", type=number(float, 0, 1), default=weight, metavar="W", help="w of the loss: near lines")
+    add("--loss-radius", type=number(int, 0, 51), default=radius, metavar="R", help="r of the loss: how near, px")
     return parser
 
 
@@ -87,11 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Label, train and write the weights; False if Ctrl-C stopped it and the checkpoint waits to go on.
-
-    Raises:
-        AirLineError: an argument or file cannot be used.
-    """
+    """Label, train, write the weights; False if Ctrl-C stopped it, ready to go on; raises AirLineError."""
     device = find_device(options.device)
     _check_writable(options.out)
     photographs, scenes, held_out_scenes = _samples(options)

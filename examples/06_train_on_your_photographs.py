@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 
 from airline import AirLine, UNetEdges
+from airline.evaluation.dataset import list_images
 from airline.evaluation.metrics import pixel_scores
 from airline.scenes import RenderedClip
 from airline.train import main as train
-from airline.training.dataset import list_images
 
 parser = argparse.ArgumentParser(description="Try the training of the edge network on your photographs.")
 parser.add_argument("--steps", type=int, default=20, help="default: %(default)s, far too few for good weights")

@@ -33,18 +33,13 @@ class PixelScores:
 
     @property
     def f1(self) -> float:
-        """F-score at 1 px."""
-        return _f_score(self.p1, self.r1)
+        """F-score at 1 px: the harmonic mean of `p1` and `r1`."""
+        return 2 * self.p1 * self.r1 / ((self.p1 + self.r1) or 1)
 
     @property
     def f2(self) -> float:
         """F-score at 2 px."""
-        return _f_score(self.p2, self.r2)
-
-
-def _f_score(precision: float, recall: float) -> float:
-    total = precision + recall
-    return 2 * precision * recall / total if total > 0 else 0.0
+        return 2 * self.p2 * self.r2 / ((self.p2 + self.r2) or 1)
 
 
 def draw(segments: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import track
-from airline.errors import InputError
 from airline.scenes import RenderedClip
 from airline.training.consensus import PIECE, consensus
 
@@ -26,7 +25,6 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm"}
 LABEL_VERSION = 2  # part of the cache key; raise it when the labels change
 FIRST_SEED = 1000  # of the scenes to train on; scenes below are for tests, demonstrations and validation
 HELD_OUT_SEED = 900
@@ -46,14 +44,6 @@ class Sample:
     gray: NDArray[np.uint8]
     pieces: NDArray[np.float32]
     shares: NDArray[np.float32]
-
-
-def list_images(folder: Path) -> list[Path]:
-    """Image files directly in a folder, sorted by name; InputError if there are none."""
-    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    if not found:
-        raise InputError(f"no images in {folder}: give a folder of photographs (jpg, png, ...)")
-    return found
 
 
 def load_samples(paths: list[Path], views: int, cache: Path) -> list[Sample]:

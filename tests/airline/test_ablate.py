@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from airline.config import EdgeConfig
 from airline.evaluate import main
@@ -16,7 +14,7 @@ from airline.evaluation.ablation import VARIANTS, back_end, edge_detectors, houg
 from airline.stages.pixels import ThresholdPixels
 
 
-def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(dataset, tmp_path, capsys):
     out = tmp_path / "ablation.json"
     assert main([str(dataset), "--ablate", "--json", str(out)]) == 0
     report = json.loads(out.read_text())
@@ -38,7 +36,7 @@ def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert rows["Canny"]["lp"] != rows["default"]["lp"]
 
 
-def test_no_exchange_is_idle(clip: Path) -> None:
+def test_no_exchange_is_idle(clip):
     """Every row of the table finds other lines than the default."""
     images = [cv2.imread(str(clip / f"{number}.png"), cv2.IMREAD_GRAYSCALE) for number in range(3)]
     edges = edge_detectors()
@@ -53,7 +51,7 @@ def test_no_exchange_is_idle(clip: Path) -> None:
         assert not np.array_equal(found(name), default), name
 
 
-def test_hough_transform_finds_a_drawn_line() -> None:
+def test_hough_transform_finds_a_drawn_line():
     edges = np.zeros((60, 100), np.float32)
     edges[20, 10:91] = 1
     find = hough_transform(ThresholdPixels(EdgeConfig().threshold))

@@ -28,7 +28,7 @@ def pictures(clip: Path) -> list[str]:
     return [str(path) for path in sorted(clip.iterdir())[:2]]
 
 
-def test_figures(pictures: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], all_cores: None) -> None:
+def test_figures(pictures, tmp_path, capsys, all_cores):
     file = tmp_path / "bench.json"
     flags = ["--size", "160x120", "--preset", "fast", "--rounds", "2", "--threads", "1", "--json", str(file)]
     assert main([*pictures, *flags]) == 0
@@ -45,7 +45,7 @@ def test_figures(pictures: list[str], tmp_path: Path, capsys: pytest.CaptureFixt
     assert f"detect_batch): {figures['batch_fps']:.0f} images/s" in printed
 
 
-def test_cost_is_drawn_and_told(pictures: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cost_is_drawn_and_told(pictures, tmp_path, capsys):
     out = tmp_path / "cost.png"
     assert main([*pictures, "--cost", str(out), "--size", "160x120", "--rounds", "1"]) == 0
     assert cv2.imread(str(out)).shape[0] > 300
@@ -66,7 +66,7 @@ def test_cost_is_drawn_and_told(pictures: list[str], tmp_path: Path, capsys: pyt
         (["missing.png"], "missing.png"),
     ],
 )
-def test_errors(flags: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors(flags, hint, capsys):
     try:
         code = main(flags)
     except SystemExit as stop:

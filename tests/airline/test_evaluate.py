@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.evaluate import main
 from airline.evaluation.benchmark import lsd, measure
-from airline.evaluation.dataset import load_dataset, read_lines
+from airline.evaluation.dataset import list_images, load_dataset, read_lines
 from airline.evaluation.light import BAD_LIGHT, BadLight, darken, motion_blur, overexpose
 from airline.evaluation.repeatability import clip, compare, corners, match, measure_pairs, random_view, warp
 
@@ -34,7 +33,7 @@ def _random_lines(seed: int, count: int = 40) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_ideal_detector_repeats_everything_exactly(seed: int) -> None:
+def test_an_ideal_detector_repeats_everything_exactly(seed):
     lines = _random_lines(seed)
     _, homography = random_view(np.random.default_rng(seed), np.zeros(SHAPE, np.uint8))
     seen = clip(warp(lines, homography), corners(SHAPE))  # it finds no line outside its image
@@ -43,7 +42,7 @@ def test_an_ideal_detector_repeats_everything_exactly(seed: int) -> None:
     assert scores.localisation == pytest.approx(0, abs=1e-9)
 
 
-def test_what_the_scores_of_a_pair_are() -> None:
+def test_what_the_scores_of_a_pair_are():
     lines = np.concatenate([_line(20, y, 120, y) for y in (20, 40, 60, 80)])
     scores = compare(lines, lines[:2] + (0, 0.5), np.eye(3), SHAPE)
     assert scores.repeatability == pytest.approx((2 / 4 + 2 / 2) / 2), "the mean of both directions"
@@ -56,14 +55,14 @@ def test_what_the_scores_of_a_pair_are() -> None:
     assert np.isnan(none.localisation)
 
 
-def test_only_lines_that_both_images_see_count() -> None:
+def test_only_lines_that_both_images_see_count():
     shift = np.array([[1, 0, 100], [0, 1, 0], [0, 0, 1.0]])
     seen, lost = _line(5, 20, 50, 20), _line(70, 30, 150, 30)
     assert compare(np.concatenate([seen, lost]), seen + (100, 0), shift, SHAPE).repeatability == 1.0
     assert compare(lost, _line(5, 50, 90, 50), shift, SHAPE).repeatability == 0.0
 
 
-def test_matching_is_one_to_one_and_nearest_first() -> None:
+def test_matching_is_one_to_one_and_nearest_first():
     line = _line(20, 20, 120, 20)
     twice = np.concatenate([line + (0, 0.4), line + (0, 0.1)])
     assert match(line, twice) == pytest.approx([0.1])
@@ -82,17 +81,17 @@ def test_matching_is_one_to_one_and_nearest_first() -> None:
         (_line(0, 0, 34, 0), 1),  # all of one and a third of the other
     ],
 )
-def test_what_matches(other: NDArray[np.float64], matches: int) -> None:
+def test_what_matches(other, matches):
     assert len(match(_line(0, 0, 100, 0), other)) == matches
 
 
 @pytest.mark.parametrize(("degrees", "matches"), [(29, 1), (31, 0)])
-def test_lines_at_an_angle_do_not_match(degrees: float, matches: int) -> None:
+def test_lines_at_an_angle_do_not_match(degrees, matches):
     arm = 5.5 * np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])  # the ends are under 3 px away
     assert len(match(_line(-5.5, 0, 5.5, 0), _line(*-arm, *arm))) == matches
 
 
-def test_distance_is_the_mean_over_both_lines_and_their_ends() -> None:
+def test_distance_is_the_mean_over_both_lines_and_their_ends():
     distance, overlap, cosine = measure_pairs(_line(0, 0, 100, 0), _line(0, 1, 100, 3))
     slope = np.hypot(1, 0.02)
     assert distance.item() == pytest.approx((2 + 2 / slope) / 2)
@@ -100,7 +99,7 @@ def test_distance_is_the_mean_over_both_lines_and_their_ends() -> None:
     assert overlap.item() == pytest.approx(0.9998, abs=1e-3)
 
 
-def test_clipping_keeps_what_is_inside() -> None:
+def test_clipping_keeps_what_is_inside():
     frame = corners((11, 21))
     assert clip(_line(-10, 5, 30, 5), frame).tolist() == [[[0, 5], [20, 5]]]
     assert clip(_line(5, 20, 15, 0), frame).tolist() == [[[10, 10], [15, 0]]]
@@ -108,7 +107,7 @@ def test_clipping_keeps_what_is_inside() -> None:
     assert len(clip(_line(-10, 5, -1, 5), frame)) == len(clip(_line(0, 12, 20, 12), frame)) == 0
 
 
-def test_views_agree_with_their_homography() -> None:
+def test_views_agree_with_their_homography():
     image = np.zeros((240, 320), np.uint8)
     centre = np.array([140.0, 110.0])
     cv2.circle(image, (140, 110), 4, 255, -1)
@@ -125,7 +124,7 @@ def test_views_agree_with_their_homography() -> None:
 # bad light
 
 
-def test_what_bad_light_does() -> None:
+def test_what_bad_light_does():
     image = np.full((200, 200), 240, np.uint8)
     dark = darken(image, 3)
     assert dark.mean() == pytest.approx(60, abs=0.2)
@@ -138,7 +137,7 @@ def test_what_bad_light_does() -> None:
     assert overexpose(np.array([[10, 127, 128, 250]], np.uint8), 0).tolist() == [[20, 254, 255, 255]]
 
 
-def test_preparation_blurs_sharpens_and_stretches() -> None:
+def test_preparation_blurs_sharpens_and_stretches():
     step = np.repeat(np.array([[50, 100]], np.uint8), 40, axis=1)
     blurred, sharpened = (BadLight(darken, sigma=2, amount=amount, gain=1).prepare(step) for amount in (-1, 1))
     np.testing.assert_array_equal(blurred, cv2.GaussianBlur(step, (0, 0), 2))
@@ -151,7 +150,7 @@ def test_preparation_blurs_sharpens_and_stretches() -> None:
 # data sets
 
 
-def test_line_files(tmp_path: Path) -> None:
+def test_line_files(tmp_path):
     path = tmp_path / "lines.txt"
     path.write_text("1 2 3 4 0.9\n\n5.5 6 -7 8e1 0.1 line\n")
     assert read_lines(path).tolist() == [[[1, 2], [3, 4]], [[5.5, 6], [-7, 80]]]
@@ -167,29 +166,35 @@ def test_line_files(tmp_path: Path) -> None:
         *((b"1 2 3 " + bad, "coordinates") for bad in (b"nan", b"inf", b"-1e7")),
     ],
 )
-def test_malformed_line_files(tmp_path: Path, content: bytes, message: str) -> None:
+def test_malformed_line_files(tmp_path, content, message):
     path = tmp_path / "lines.txt"
     path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         read_lines(path)
 
 
-def test_dataset(dataset: Path) -> None:
+def test_dataset(dataset):
     samples = load_dataset(dataset)
     assert [sample.path.name for sample in samples] == ["0.png", "1.png"]
     assert [(len(sample.sparse), len(sample.dense)) for sample in samples] == [(4, 4), (4, 8)]
     assert samples[0].read().shape == SHAPE
     assert len(load_dataset(dataset, limit=1)) == 1
-    for path in (dataset / "images").iterdir():
-        path.unlink()
+
+
+def test_only_image_files_are_listed(tmp_path):
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "notes.txt").touch()
     with pytest.raises(InputError, match="no images in"):
-        load_dataset(dataset)
+        list_images(tmp_path)
+    for name in ("b.PNG", "a.jpg"):
+        (tmp_path / name).touch()
+    assert [path.name for path in list_images(tmp_path)] == ["a.jpg", "b.PNG"]
 
 
 # the measurements and the command
 
 
-def test_both_sides_are_measured_alike(dataset: Path) -> None:
+def test_both_sides_are_measured_alike(dataset):
     """LSD against LSD: the same images, views and noise for both, so everything but the time agrees."""
     figures = measure(load_dataset(dataset), lsd())
     rival = figures.pop("lsd")
@@ -204,13 +209,13 @@ def test_both_sides_are_measured_alike(dataset: Path) -> None:
     assert figures["bad_light"]["dark"]["lsd_prepared"]["r2"] > figures["bad_light"]["dark"]["r2"]
 
 
-def test_a_detector_that_finds_nothing(dataset: Path) -> None:
+def test_a_detector_that_finds_nothing(dataset):
     figures = measure(load_dataset(dataset, limit=1), lambda image: np.zeros((0, 2, 2)))
     assert (figures["p2"], figures["r2"], figures["f2"], figures["lines"]) == (100, 0, 0, 0)
     assert (figures["repeatability"], figures["localisation"]) == (0, None)
 
 
-def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(dataset, tmp_path, capsys):
     out = tmp_path / "figures.json"
     assert main([str(dataset), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
@@ -226,7 +231,7 @@ def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert max(map(len, printed.splitlines())) <= 80
 
 
-def test_command_scores_predictions(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_scores_predictions(dataset, tmp_path, capsys):
     out = tmp_path / "figures.json"
     arguments = [str(dataset), "--predictions", str(dataset / "lines_cho"), "--limit", "1", "--json", str(out)]
     assert main(arguments) == 0
@@ -249,9 +254,7 @@ def test_command_scores_predictions(dataset: Path, tmp_path: Path, capsys: pytes
         ("images", None, "no folder"),
     ],
 )
-def test_bad_data_is_one_sentence(
-    dataset: Path, capsys: pytest.CaptureFixture[str], part: str, content: str | None, message: str
-) -> None:
+def test_bad_data_is_one_sentence(dataset, capsys, part, content, message):
     if content is None:
         (dataset / part).rename(dataset / "elsewhere")
     else:
@@ -276,9 +279,7 @@ def test_bad_data_is_one_sentence(
         (["--runtime", "abacus"], "invalid choice"),
     ],
 )
-def test_bad_arguments_are_one_sentence(
-    dataset: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_bad_arguments_are_one_sentence(dataset, capsys, arguments, message):
     try:
         code = main([str(dataset), *arguments])
     except SystemExit as stop:

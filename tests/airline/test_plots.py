@@ -31,7 +31,7 @@ def evaluations(tmp_path: Path) -> list[Path]:
     return [ours, other]
 
 
-def test_plots_are_pictures(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plots_are_pictures(dataset, tmp_path, capsys):
     """From what the evaluation command really writes."""
     ours, other, out = tmp_path / "ours.json", tmp_path / "other.json", tmp_path / "docs" / "plots"
     assert evaluate([str(dataset), "--limit", "1", "--json", str(ours)]) == 0
@@ -47,7 +47,7 @@ def test_plots_are_pictures(dataset: Path, tmp_path: Path, capsys: pytest.Captur
         assert (np.ptp(picture.astype(int), axis=2) > 60).any()
 
 
-def test_lp_is_never_shown_without_a_precision(evaluations: list[Path]) -> None:
+def test_lp_is_never_shown_without_a_precision(evaluations):
     (axes,) = draw_lp_curve(read_rivals(evaluations)).axes
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels == ["AirLine, P2 81.0 %", "LSD, P2 82.0 %", "other, P2 83.0 %"]
@@ -57,13 +57,13 @@ def test_lp_is_never_shown_without_a_precision(evaluations: list[Path]) -> None:
     assert len({(line.get_color(), line.get_marker()) for line in axes.get_lines()}) == 3
 
 
-def test_performance_shows_who_was_timed(evaluations: list[Path]) -> None:
+def test_performance_shows_who_was_timed(evaluations):
     (axes,) = draw_performance(read_rivals(evaluations)).axes
     points = {text.get_text(): text.xy for text in axes.texts if hasattr(text, "xy")}
     assert points == {"AirLine": (50.0, 78.0), "LSD": (100.0, 79.0)}
 
 
-def test_performance_is_that_of_one_machine(evaluations: list[Path], tmp_path: Path) -> None:
+def test_performance_is_that_of_one_machine(evaluations, tmp_path):
     """A run on a busy machine took everybody three times as long, LSD too."""
     busy = tmp_path / "busy.json"
     busy.write_text(json.dumps(_scores(1, ms=60.0, lsd=_scores(2, ms=30.0))))
@@ -82,9 +82,7 @@ def test_performance_is_that_of_one_machine(evaluations: list[Path], tmp_path: P
         (json.dumps(_scores(0)).encode(), "has no times or no LSD"),
     ],
 )
-def test_bad_evaluations_are_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None, message: str
-) -> None:
+def test_bad_evaluations_are_one_sentence(tmp_path, capsys, content, message):
     path = tmp_path / "ours.json"
     if content is not None:
         path.write_bytes(content)
@@ -96,9 +94,7 @@ def test_bad_evaluations_are_one_sentence(
     assert not (tmp_path / "plots").exists()
 
 
-def test_what_else_goes_wrong(
-    evaluations: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_else_goes_wrong(evaluations, tmp_path, capsys, monkeypatch):
     ours, other = map(str, evaluations)
     assert main([ours, other, other, "--out", str(tmp_path / "plots")]) == 2
     assert "two detectors are called other" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from airline.training.dataset import (
     cut,
     fingerprint,
     label_image,
-    list_images,
     load_samples,
     render_sample,
 )
@@ -144,7 +142,7 @@ def test_held_out_scenes_are_not_trained_on():
     assert not np.array_equal(render_sample(1).gray, render_sample(1, HELD_OUT_SEED).gray)
 
 
-def test_labels_are_kept_and_a_damaged_cache_is_mended(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_labels_are_kept_and_a_damaged_cache_is_mended(tmp_path, caplog):
     path, cache = tmp_path / "a.png", tmp_path / "labels"
     cv2.imwrite(str(path), picture())
     (sample,) = load_samples([path], 1, cache)
@@ -158,13 +156,6 @@ def test_labels_are_kept_and_a_damaged_cache_is_mended(tmp_path: Path, caplog: p
         assert np.array_equal(again.pieces, sample.pieces)
         assert "damaged" in caplog.text
         caplog.clear()
-
-
-def test_only_image_files_are_listed(tmp_path: Path):
-    for name in ("b.PNG", "a.jpg", "notes.txt"):
-        (tmp_path / name).touch()
-    (tmp_path / "folder.png").mkdir()
-    assert [path.name for path in list_images(tmp_path)] == ["a.jpg", "b.PNG"]
 
 
 def test_fingerprint_tells_pixels_labels_and_order_apart():
