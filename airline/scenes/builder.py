@@ -6,7 +6,7 @@ is seen from the side its normal u x v points to.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airline.scenes.textures import texture_index
 
-Vec = tuple[float, float, float]
+Vec = Sequence[float] | NDArray[np.float64]  # of three
 PIPE_SIDES = 20
 TOUCHING = 1e-3  # m: closer lines are one
 
@@ -103,6 +103,7 @@ class Light:
 
 # The axes that span each side of a box, in the order that turns its normal outwards.
 _PLANES = {"x": (2, 1), "X": (1, 2), "y": (0, 2), "Y": (2, 0), "z": (1, 0), "Z": (0, 1)}
+_X, _Y, _Z = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -110,26 +111,22 @@ class Place:
     """A local coordinate system (origin, orthonormal axes) whose methods add things to the scene in its coordinates."""
 
     scene: SceneBuilder
-    origin: Vec = (0.0, 0.0, 0.0)
-    x: Vec = (1.0, 0.0, 0.0)
-    y: Vec = (0.0, 1.0, 0.0)
-    z: Vec = (0.0, 0.0, 1.0)
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    x: NDArray[np.float64] = field(default_factory=lambda: _X)
+    y: NDArray[np.float64] = field(default_factory=lambda: _Y)
 
-    def point(self, p: Vec) -> Vec:
+    def point(self, p: Vec) -> NDArray[np.float64]:
         """World position of the local point p."""
-        axes = zip(self.origin, self.x, self.y, self.z, strict=True)
-        return _vec(o + x * p[0] + y * p[1] + z * p[2] for o, x, y, z in axes)
+        return np.asarray(self.origin + self.x * p[0] + self.y * p[1] + _Z * p[2])
 
     def moved(self, p: Vec, turn: float = 0.0) -> Place:
         """This place moved to the local point p and turned about its z axis by `turn` rad."""
-        c, s = float(np.cos(turn)), float(np.sin(turn))
-        x = _vec(c * x + s * y for x, y in zip(self.x, self.y, strict=True))
-        y = _vec(c * y - s * x for x, y in zip(self.x, self.y, strict=True))
-        return Place(self.scene, self.point(p), x, y, self.z)
+        c, s = np.cos(turn), np.sin(turn)
+        return Place(self.scene, self.point(p), c * self.x + s * self.y, c * self.y - s * self.x)
 
     def facing(self, origin: Vec, along: Vec) -> Place:
         """The place at a world point whose x axis is the horizontal unit vector `along`."""
-        return Place(self.scene, origin, along, (-along[1], along[0], 0))
+        return Place(self.scene, np.array(origin, float), np.array(along, float), np.array((-along[1], along[0], 0.0)))
 
     def quad(
         self,
@@ -144,22 +141,20 @@ class Place:
 
         `shift` (m) moves the texture, so that the pieces of a split wall continue one another.
         """
-        a, b, d = (self.point(p) for p in (corner, _sum(corner, u), _sum(corner, v)))
-        self.scene.faces.append(((a, b, d), material, shift))
-        c = _vec(p + q - r for p, q, r in zip(b, d, a, strict=True))
-        sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
+        a, b, d = (self.point(p) for p in (corner, np.add(corner, u), np.add(corner, v)))
+        self.scene.faces.append((np.stack([a, b, d]), material, shift))
+        sides = {"b": (a, b), "t": (d, b + d - a), "l": (a, d), "r": (b, b + d - a)}
         self.scene.lines.extend(sides[name] for name in edges)
 
     def box(self, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ") -> None:
         """Add a cuboid between local corners; `faces` names its sides: "x" at the low x, "X" at the high x, ..."""
-        along = ((high[0] - low[0], 0.0, 0.0), (0.0, high[1] - low[1], 0.0), (0.0, 0.0, high[2] - low[2]))
-        far = {"X": (high[0], low[1], low[2]), "Y": (low[0], high[1], low[2]), "Z": (low[0], low[1], high[2])}
+        along, place = np.diag(np.subtract(high, low)), self.point(low)
         # Equal boxes in different places must not wear equal texture.
-        place = self.point(low)
         shift = (7.3 * place[0] + 3.1 * place[2], 5.9 * place[1] + 1.7 * place[2])
         for name in faces:
             i, j = _PLANES[name]
-            self.quad(far.get(name, low), along[i], along[j], material, shift=shift)
+            corner = np.where(np.arange(3) == "XYZ".find(name), high, low)
+            self.quad(corner, along[i], along[j], material, shift=shift)
 
     def line(self, start: Vec, end: Vec) -> None:
         """Add a straight edge."""
@@ -167,10 +162,11 @@ class Place:
 
     def pipe(self, start: Vec, end: Vec, radius: float, material: Material) -> None:
         """Add a cylinder without caps; its lines are the two outlines seen from the camera."""
-        self.scene.pipes.append((self.point(start), self.point(end), radius, material))
+        self.scene.pipes.append(((self.point(start), self.point(end)), radius, material))
 
 
-Face = tuple[tuple[Vec, Vec, Vec], Material, tuple[float, float]]  # the ends of u and v beside the origin; shift
+Line = tuple[NDArray[np.float64], NDArray[np.float64]]
+Face = tuple[NDArray[np.float64], Material, tuple[float, float]]  # (3, 3): origin, ends of u and v; material; shift
 
 
 @dataclass
@@ -178,23 +174,22 @@ class SceneBuilder:
     """What places have added; of pipes the axis, radius and material."""
 
     faces: list[Face] = field(default_factory=list)
-    lines: list[tuple[Vec, Vec]] = field(default_factory=list)
-    pipes: list[tuple[Vec, Vec, float, Material]] = field(default_factory=list)
+    lines: list[Line] = field(default_factory=list)
+    pipes: list[tuple[Line, float, Material]] = field(default_factory=list)
 
     def build(self, light: Light, walk: Walk, sky: NDArray[np.float32] | None = None) -> Scene:
         """Shade the faces, merge lines that several faces share, and freeze everything."""
         flat = len(self.faces)
         faces = [*self.faces, *(face for pipe in self.pipes for face in _prism(*pipe))]
         materials = [material for _, material, _ in faces]
-        a, b, d = np.array([corners for corners, _, _ in faces], np.float64).reshape(-1, 3, 3).transpose(1, 0, 2)
+        a, b, d = np.stack([corners for corners, _, _ in faces], axis=1)
         u, v = b - a, d - a
         normals = np.cross(u, v)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         corner_normals = np.repeat(normals[None], 3, axis=0)
-        for c, (first, last, _, _) in enumerate(self.pipes):  # round, though drawn with flat sides
+        for c, ((start, end), _, _) in enumerate(self.pipes):  # round, though drawn with flat sides
             rows = slice(flat + c * PIPE_SIDES, flat + (c + 1) * PIPE_SIDES)
-            start, axis = np.asarray(first), np.asarray(last) - np.asarray(first)
-            axis = axis / np.linalg.norm(axis)
+            axis = (end - start) / np.linalg.norm(end - start)
             for k, points in enumerate((a, b, d)):
                 outward = points[rows] - start
                 outward -= np.outer(outward @ axis, axis)
@@ -207,57 +202,44 @@ class SceneBuilder:
         shades = np.stack([lights[0], lights[1] - lights[0], lights[2] - lights[0]], axis=1)
         low, high = np.array([m.low for m in materials]), np.array([m.high for m in materials])
         return Scene(
-            origins=a.copy(),
+            origins=a,
             u=u,
             v=v,
             textures=np.array([m.texture for m in materials], np.int32),
             materials=np.concatenate([mapping, shades, low, (high - low) / 255], axis=1).astype(np.float32),
-            lines=merge_collinear(np.asarray(self.lines, np.float64).reshape(-1, 2, 3)),
-            pipes=np.asarray([pipe[:2] for pipe in self.pipes], np.float64).reshape(-1, 2, 3),
-            radii=np.asarray([pipe[2] for pipe in self.pipes], np.float64),
+            lines=merge_collinear(np.array(self.lines)),
+            pipes=np.array([axis for axis, _, _ in self.pipes]).reshape(-1, 2, 3),
+            radii=np.array([radius for _, radius, _ in self.pipes]),
             walk=walk,
             sky=np.ones((2, 3), np.float32) if sky is None else sky,
         )
 
 
-def colour(rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float]) -> Vec:
+def colour(
+    rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float]
+) -> NDArray[np.float64]:
     """A random linear BGR colour with brightness and saturation within bounds."""
     hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
-    return _vec(v * (1 - s * min(1.0, max(0.0, abs((hue + shift) % 6 - 3) - 1))) for shift in (2.0, 4.0, 0.0))
-
-
-def scaled(base: Vec, factor: float) -> Vec:
-    """A colour brighter or darker by a factor."""
-    return _vec(channel * factor for channel in base)
+    return np.asarray(v * (1 - s * np.clip(np.abs((hue + np.array([2.0, 4.0, 0.0])) % 6 - 3) - 1, 0, 1)))
 
 
 def finish(rng: np.random.Generator, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
     """A material whose colours lie around `base`, apart by the relative `contrast`."""
-    texture = texture_index(name, int(rng.integers(100)))
-    high = _vec(min(1.0, channel) for channel in scaled(base, 1 + contrast))
-    return Material(texture, scaled(base, 1 - contrast), high, tile)
+    texture, base = texture_index(name, int(rng.integers(100))), np.asarray(base)
+    return Material(texture, base * (1 - contrast), np.minimum(1, base * (1 + contrast)), tile)
 
 
-def _vec(values: Iterable[float]) -> Vec:
-    x, y, z = values
-    return x, y, z
-
-
-def _sum(p: Vec, q: Vec) -> Vec:
-    return p[0] + q[0], p[1] + q[1], p[2] + q[2]
-
-
-def _prism(first: Vec, last: Vec, radius: float, material: Material) -> list[Face]:
+def _prism(ends: Line, radius: float, material: Material) -> list[Face]:
     """The flat sides of a pipe."""
-    start, axis = np.asarray(first), np.asarray(last) - np.asarray(first)
-    side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 * np.linalg.norm(axis) else (0.0, 1.0, 0.0))
+    start, axis = ends[0], ends[1] - ends[0]
+    side = np.cross(axis, _X if abs(axis[0]) < 0.5 * np.linalg.norm(axis) else _Y)
     side *= radius / np.linalg.norm(side)
     other = np.cross(axis, side) / np.linalg.norm(axis)
     angles = 2 * np.pi * np.arange(PIPE_SIDES + 1) / PIPE_SIDES
     ring = start + np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-    corners = ((_vec(p), _vec(q), _vec(p + axis)) for p, q in pairwise(ring))
     half = float(np.sin(np.pi / PIPE_SIDES))
-    return [(side, material, (k * 2 * radius * half, 0.0)) for k, side in enumerate(corners)]
+    sides = enumerate(pairwise(ring))
+    return [(np.stack([p, q, p + axis]), material, (k * 2 * radius * half, 0.0)) for k, (p, q) in sides]
 
 
 def merge_collinear(segments: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish, scaled
+from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish
 from airline.scenes.furniture import ITEMS, cabinet, filled_case, paint_finish, poster, wood_finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
 
@@ -41,7 +41,7 @@ def indoor_scene(rng: np.random.Generator) -> Scene:
     for place, span in _walls(world, length, width):
         tone = rng.uniform(0.8, 1.15)
         tile = rng.uniform(0.7, 1.1) if texture == "brick" else rng.uniform(1.2, 2.2)
-        material = finish(rng, texture, scaled(paint, tone), tile, contrast)
+        material = finish(rng, texture, paint * tone, tile, contrast)
         # Furniture fills the corners along the long walls; the short walls leave room for it.
         _furnished_wall(place, span, _MARGIN if span == length else _CLEARANCE, height, material, fittings, rng)
     reach_x = length / 2 - (2.2 if corridor else 2.0)
@@ -112,7 +112,7 @@ def _tiled_floor(world: Place, length: float, width: float, rng: np.random.Gener
     dark, light = 0.72 * rng.uniform(0.6, 1), rng.uniform(1.1, 1.4)
     for i, j in product(range(nx), range(ny)):
         tone = (dark, light)[(i + j) % 2] * rng.uniform(0.9, 1.1)
-        tile, corner = finish(rng, name, scaled(base, tone), 0.9, 0.12), (length * i / nx, width * j / ny, 0)
+        tile, corner = finish(rng, name, base * tone, 0.9, 0.12), (length * i / nx, width * j / ny, 0)
         world.quad(corner, (length / nx, 0, 0), (0, width / ny, 0), tile, shift=tuple(rng.random(2)))
 
 

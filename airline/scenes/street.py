@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish, scaled
+from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
 
 _HALF = 26.0  # m from the middle of the street to the houses that close it
@@ -51,7 +51,7 @@ def _ground(world: Place, road: float, edge: float, rng: np.random.Generator) ->
         y0, y1 = (road + 0.18, edge + 1) if side > 0 else (-edge - 1, -road - 0.18)
         for k in range(count):
             tone = (0.78, 1.2)[k % 2] * rng.uniform(0.92, 1.08)
-            slabs = finish(rng, "speckle", scaled(base, tone), 0.9, 0.12)
+            slabs = finish(rng, "speckle", base * tone, 0.9, 0.12)
             x = -_HALF + 2 * _HALF * k / count
             world.quad((x, y0, 0.12), (2 * _HALF / count, 0, 0), (0, y1 - y0, 0), slabs, "lr")
 
