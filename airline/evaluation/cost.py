@@ -6,7 +6,6 @@ The picture shows time over image size and, at one size, over the number of line
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,29 +22,12 @@ if TYPE_CHECKING:
     from airline.detector import AirLine
 
 FACTORS = (0.5, 1, 1.5, 2, 3)  # sizes, relative to the one that is asked for
-KINDS = ("indoor", "street", "shelves")
-SEEDS = range(12, 18)
-CURVES = (
-    (COLOURS[1], "s", "OpenCV LSD", "lsd_ms"),
-    (COLOURS[0], "o", "AirLine", "total_ms"),
-    (COLOURS[2], "^", "of that, the stages after the network", "back_end_ms"),
-)
-
-
-@dataclass(frozen=True)
-class Point:
-    """Medians of one size or picture; `lines` were found on average."""
-
-    megapixels: float
-    lines: float
-    network_ms: float
-    total_ms: float
-    lsd_ms: float
-
-    @property
-    def back_end_ms(self) -> float:
-        """Of the stages after the network."""
-        return self.total_ms - self.network_ms
+SCENES = [*product(("indoor", "street", "shelves"), range(12, 18))]  # kinds and seeds, with few and with many lines
+CURVES = {
+    "lsd": (COLOURS[1], "s", "OpenCV LSD"),
+    "total": (COLOURS[0], "o", "AirLine"),
+    "rest": (COLOURS[2], "^", "of that, the stages after the network"),
+}
 
 
 def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple[int, int], rounds: int) -> str:
@@ -55,14 +37,14 @@ def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple
         AirLineError: an image cannot be read, the picture not be written, or matplotlib is missing.
     """
     figure, (left, right) = new_axes(("image size, megapixels", "time, LSD = 1"), ("lines in a picture", ""))
-    sizes = {factor: (round(factor * size[0]), round(factor * size[1])) for factor in FACTORS}
-    over_sizes = {factor: _measure(detector, load_pictures(images, each), rounds) for factor, each in sizes.items()}
-    singles = load_pictures(images, size) if images else [cv2.resize(view, size) for view in _scenes()]
+    sizes = [(round(factor * size[0]), round(factor * size[1])) for factor in FACTORS]
+    over_sizes = [_measure(detector, load_pictures(images, each), rounds) for each in sizes]
+    singles = load_pictures(images, size) if images else _scenes(size)
     over_lines = [_measure(detector, [picture], 3 * rounds) for picture in singles]
-    unit = float(np.median([point.lsd_ms for point in over_lines]))
-    for axes, points, place in ((left, [*over_sizes.values()], "megapixels"), (right, over_lines, "lines")):
-        for colour, marker, name, value in CURVES:
-            x, y = [getattr(point, place) for point in points], [getattr(point, value) / unit for point in points]
+    unit = float(np.median([point["lsd"] for point in over_lines]))
+    for axes, points, place in ((left, over_sizes, "megapixels"), (right, over_lines, "lines")):
+        for key, (colour, marker, name) in CURVES.items():
+            x, y = [point[place] for point in points], [point[key] / unit for point in points]
             line = "-" if axes is left else "none"  # pictures with as many lines are not alike
             axes.plot(x, y, linestyle=line, color=colour, marker=marker, label=name)
         axes.set_ylim(bottom=0)
@@ -70,20 +52,27 @@ def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple
     left.legend(fontsize=8)
     save(figure, path)
     rows = ["size       lines  network ms  other stages ms   LSD ms  LSD / ours"]
-    for factor, point in over_sizes.items():
-        name = "{}x{}".format(*sizes[factor])
-        row = f"{name:10}{point.lines:6.0f}{point.network_ms:12.2f}{point.back_end_ms:17.2f}{point.lsd_ms:9.2f}"
-        rows.append(f"{row}{point.lsd_ms / point.total_ms:12.2f}")
+    for (width, height), point in zip(sizes, over_sizes, strict=True):
+        row = (
+            f"{f'{width}x{height}':10}{point['lines']:6.0f}{point['total'] - point['rest']:12.2f}{point['rest']:17.2f}"
+        )
+        rows.append(f"{row}{point['lsd']:9.2f}{point['lsd'] / point['total']:12.2f}")
     return "\n".join([*rows, f"wrote {path}"])
 
 
-def _scenes() -> list[NDArray[Any]]:
+def _scenes(size: tuple[int, int]) -> list[NDArray[Any]]:
     """Grey pictures with few and with many lines."""
-    clips = (RenderedClip(kind=kind, motion="handheld", seed=seed, frames=8) for kind, seed in product(KINDS, SEEDS))
-    return [cv2.cvtColor(clip.render(0).image, cv2.COLOR_BGR2GRAY) for clip in clips]
+    views = (RenderedClip(kind, "handheld", seed, frames=8, size=size).render(0) for kind, seed in SCENES)
+    return [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in views]
 
 
-def _measure(detector: AirLine, pictures: Sequence[NDArray[Any]], rounds: int) -> Point:
-    figures, (height, width) = measure(detector, pictures, rounds), pictures[0].shape
-    times = figures["stage_ms"]["edges"], figures["total_ms"], figures["lsd_ms"]
-    return Point(width * height / 1e6, figures["lines"], *times)
+def _measure(detector: AirLine, pictures: Sequence[NDArray[Any]], rounds: int) -> dict[str, float]:
+    """Megapixels, lines, and medians in ms: of the detector, of its stages after the network, of LSD."""
+    figures = measure(detector, pictures, rounds)
+    return {
+        "megapixels": pictures[0].size / 1e6,
+        "lines": figures["lines"],
+        "total": figures["total_ms"],
+        "rest": figures["total_ms"] - figures["stage_ms"]["edges"],
+        "lsd": figures["lsd_ms"],
+    }

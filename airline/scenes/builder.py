@@ -116,8 +116,9 @@ class Place:
     y: NDArray[np.float64] = field(default_factory=lambda: _Y)
 
     def point(self, p: Vec) -> NDArray[np.float64]:
-        """World position of the local point p."""
-        return np.asarray(self.origin + self.x * p[0] + self.y * p[1] + _Z * p[2])
+        """World positions of local points (..., 3)."""
+        p = np.asarray(p, np.float64)
+        return np.asarray(self.origin + self.x * p[..., :1] + self.y * p[..., 1:2] + _Z * p[..., 2:])
 
     def moved(self, p: Vec, turn: float = 0.0) -> Place:
         """This place moved to the local point p and turned about its z axis by `turn` rad."""
@@ -141,9 +142,10 @@ class Place:
 
         `shift` (m) moves the texture, so that the pieces of a split wall continue one another.
         """
-        a, b, d = (self.point(p) for p in (corner, np.add(corner, u), np.add(corner, v)))
-        self.scene.faces.append((np.stack([a, b, d]), material, shift))
-        sides = {"b": (a, b), "t": (d, b + d - a), "l": (a, d), "r": (b, b + d - a)}
+        a, b, d = corners = self.point(np.asarray(corner) + ((0, 0, 0), u, v))
+        self.scene.faces.append((corners, material, shift))
+        c = b + d - a
+        sides = {"b": (a, b), "t": (d, c), "l": (a, d), "r": (b, c)}
         self.scene.lines.extend(sides[name] for name in edges)
 
     def box(self, low: Vec, high: Vec, material: Material, faces: str = "xXyYzZ") -> None:
