@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.command import Parser, exit_code, write_json
+from airline.command import Parser, exit_code, image_size, number, write_json
 from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
 
@@ -29,13 +29,15 @@ WARM_UP = 3
 def build_parser() -> Parser:
     """All arguments."""
     parser = Parser(prog="python -m airline.bench", description="Time the detector beside OpenCV's LSD, interleaved.")
-    parser.add_argument("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
-    parser.add_argument("--size", default="640x480", metavar="WxH", help="resize images to this (default: %(default)s)")
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
-    parser.add_argument("--threads", type=int, metavar="N", help="use so many processor cores (default: all)")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="over all images (default: %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    add = parser.add_argument
+    add("images", nargs="*", type=Path, help="image files (default: pictures of the built-in clip)")
+    add("--size", type=image_size, default="640x480", metavar="WxH", help="resize to this (default: %(default)s)")
+    add("--preset", choices=PRESETS, default="default")
+    add("--runtime", choices=RUNTIMES, default="auto")
+    add("--threads", type=number(int, 1), metavar="N", help="use so many processor cores (default: all)")
+    add("--rounds", type=number(int, 1), default=5, metavar="N", help="over all images (default: %(default)s)")
+    add("--cost", type=Path, metavar="FILE.png", help="draw time over image size and number of lines")
+    parser.add_json()
     return parser
 
 
@@ -47,43 +49,45 @@ def main(arguments: list[str] | None = None) -> int:
 def run(options: argparse.Namespace) -> None:
     """Measure, print the table and write the JSON; raises AirLineError."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    if options.rounds < 1:
-        raise ConfigError("--rounds must be 1 or more")
+    if options.cost is not None and (options.cost.suffix != ".png" or not options.cost.parent.is_dir()):
+        raise InputError(f"cannot write {options.cost}: give a name that ends with .png in a folder that exists")
     _limit_cores(options.threads)
     from airline.detector import AirLine  # libraries count the cores when they load
 
     pictures = load_pictures(options.images, options.size)
     detector = AirLine(options.preset, runtime=options.runtime)
     figures = measure(detector, pictures, options.rounds)
-    figures = {"preset": options.preset, "runtime": runtime_name(detector), "size": options.size, **figures}
+    size = "{}x{}".format(*options.size)
+    runtime = getattr(detector.edges, "network", detector.edges)
+    name = getattr(runtime, "name", type(runtime).__name__)
+    figures = {"preset": options.preset, "runtime": name, "size": size, **figures}
     print(as_text(figures))
+    if options.cost is not None:
+        from airline.evaluation.cost import draw_cost
+
+        print(draw_cost(options.cost, detector, options.images, options.size, options.rounds))
     write_json(options.json, figures)
 
 
-def load_pictures(paths: Sequence[Path], size: str) -> list[NDArray[np.uint8]]:
-    """Grey pictures of one size.
+def load_pictures(paths: Sequence[Path], size: tuple[int, int]) -> list[NDArray[np.uint8]]:
+    """Grey pictures of one (width, height).
 
     Raises:
         InputError: an image cannot be read.
-        ConfigError: the size is none.
     """
     import cv2
 
-    width, _, height = size.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
-        raise ConfigError(f"'{size}' is no size: give WIDTHxHEIGHT of 16 px and more, such as 640x480")
     if paths:
         loaded = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
         for path, image in zip(paths, loaded, strict=True):
             if image is None:
                 raise InputError(f"cannot read the image {path}")
     else:
-        from airline.scenes import RenderedClip as Clip
+        from airline.scenes import RenderedClip
 
-        clip = Clip(kind="indoor", motion="handheld", seed=12, frames=PICTURES * SPACING)
-        views = islice(clip, 0, None, SPACING)
-        loaded = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in views]
-    return [cv2.resize(image, (int(width), int(height)), interpolation=cv2.INTER_AREA) for image in loaded]
+        clip = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=PICTURES * SPACING)
+        loaded = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in islice(clip, 0, None, SPACING)]
+    return [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in loaded]
 
 
 def measure(detector: AirLine, pictures: Sequence[NDArray[np.uint8]], rounds: int) -> dict[str, Any]:
@@ -91,9 +95,7 @@ def measure(detector: AirLine, pictures: Sequence[NDArray[np.uint8]], rounds: in
     import cv2
 
     lsd = cv2.createLineSegmentDetector()
-    stages: dict[str, list[float]] = {}
-    total: list[float] = []
-    peer: list[float] = []
+    spent: dict[str, list[float]] = {}
     lines: list[int] = []
     for _ in range(WARM_UP):
         detector(pictures[0])
@@ -101,27 +103,27 @@ def measure(detector: AirLine, pictures: Sequence[NDArray[np.uint8]], rounds: in
     for picture in [picture for _ in range(rounds) for picture in pictures]:
         started = time.perf_counter()
         trace = detector.trace(picture)
-        total.append(1e3 * (time.perf_counter() - started))
-        lines.append(len(trace.lines))
-        for stage, spent in trace.stage_ms.items():
-            stages.setdefault(stage, []).append(spent)
-        started = time.perf_counter()
+        traced = time.perf_counter()
         lsd.detect(picture)
-        peer.append(1e3 * (time.perf_counter() - started))
+        total, peer = 1e3 * (traced - started), 1e3 * (time.perf_counter() - traced)
+        lines.append(len(trace.lines))
+        for name, ms in {**trace.stage_ms, "total": total, "LSD": peer}.items():
+            spent.setdefault(name, []).append(ms)
     started = time.perf_counter()
     batch = sum(1 for _ in detector.detect_batch(chain.from_iterable(repeat(pictures, rounds))))
     batch_s = time.perf_counter() - started
-    medians = {stage: _median(spent) for stage, spent in stages.items()}
+    medians = {name: round(float(np.median(ms)), 3) for name, ms in spent.items()}
+    p95 = {name: round(float(np.percentile(ms, 95)), 3) for name, ms in spent.items()}
     return {
-        "pictures": len(total),
+        "pictures": len(lines),
         "lines": float(np.mean(lines)),
+        "total_ms": medians.pop("total"),
+        "total_p95_ms": p95.pop("total"),
+        "lsd_ms": medians.pop("LSD"),
+        "lsd_p95_ms": p95.pop("LSD"),
         "stage_ms": medians,
-        "stage_p95_ms": {stage: _p95(spent) for stage, spent in stages.items()},
-        "total_ms": _median(total),
-        "total_p95_ms": _p95(total),
-        "lsd_ms": _median(peer),
-        "lsd_p95_ms": _p95(peer),
-        "ratio_lsd": round(float(np.median(peer) / np.median(total)), 3),
+        "stage_p95_ms": p95,
+        "ratio_lsd": round(float(np.median(spent["LSD"]) / np.median(spent["total"])), 3),
         "batch_fps": round(batch / batch_s, 1),
     }
 
@@ -143,24 +145,10 @@ def _limit_cores(threads: int | None) -> None:
     if not hasattr(os, "sched_setaffinity"):
         raise ConfigError("--threads needs Linux, where a process can be kept to some cores")
     cores = sorted(os.sched_getaffinity(0))
-    if not 1 <= threads <= len(cores):
+    if threads > len(cores):
         raise ConfigError(f"--threads must be between 1 and {len(cores)}, not {threads}")
     os.sched_setaffinity(0, cores[:threads])
     os.environ["OMP_NUM_THREADS"] = str(threads)
-
-
-def runtime_name(detector: AirLine) -> str:
-    """What the detector's edges come from: a runtime and its precision, or a class."""
-    network = getattr(detector.edges, "network", None)
-    return network.name if network is not None else type(detector.edges).__name__
-
-
-def _median(spent: list[float]) -> float:
-    return round(float(np.median(spent)), 3)
-
-
-def _p95(spent: list[float]) -> float:
-    return round(float(np.percentile(spent, 95)), 3)
 
 
 if __name__ == "__main__":

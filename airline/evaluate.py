@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import Parser, exit_code, write_json
+from airline.command import Parser, exit_code, number, track, write_json
 from airline.config import PRESETS, RUNTIMES
-from airline.evaluation.command import add_dataset, open_dataset, track
+from airline.errors import ConfigError
 
 if TYPE_CHECKING:
     from airline.evaluation.benchmark import Detect
@@ -39,16 +39,15 @@ def build_parser() -> Parser:
         epilog=LEGEND,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_dataset(parser)
-    parser.add_argument("--preset", default="default", help=f"{', '.join(PRESETS)} (default: %(default)s)")
-    parser.add_argument("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
-    parser.add_argument("--runtime", choices=RUNTIMES, default="auto", help="where the edge network runs")
-    parser.add_argument(
-        "--predictions",
-        type=Path,
-        metavar="DIR",
-        help="score the lines of another detector instead: text files like the annotation, one per image",
-    )
+    add = parser.add_argument
+    add("dataset", type=Path, help="folder with images/, lines_denis/ (sparse), lines_cho/ (dense)")
+    add("--limit", type=number(int, 1), metavar="N", help="use only the first N images")
+    add("--preset", help=f"{', '.join(PRESETS)} (default: default)")
+    add("--weights", metavar="FILE", help="weights of the edge network instead of the bundled ones")
+    add("--runtime", choices=RUNTIMES, help="where the edge network runs (default: auto)")
+    add("--predictions", type=Path, metavar="DIR", help="score text files of lines instead, one per image")
+    add("--ablate", action="store_true", help="exchange one part of the default detector at a time instead")
+    parser.add_json()
     return parser
 
 
@@ -58,39 +57,44 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate, print the tables and write the JSON.
-
-    Raises:
-        AirLineError: an argument or file cannot be used.
-    """
+    """Evaluate, print the tables and write the JSON; raises AirLineError."""
     from rich.console import Console
 
-    from airline.evaluation.benchmark import measure, measure_files
-    from airline.evaluation.tables import tables
+    from airline.evaluation import ablation, benchmark, tables
+    from airline.evaluation.dataset import load_dataset
 
-    samples = open_dataset(options)
-    if options.predictions is not None:
-        name, figures = options.predictions.resolve().name, measure_files(track(samples), options.predictions)
+    given = [name for name in ("ablate", "predictions", "preset", "weights", "runtime") if getattr(options, name)]
+    if len(given) > 1 and given[0] in ("ablate", "predictions"):
+        raise ConfigError(f"--{given[0]} does not go with --{given[1]}: leave one of them away")
+    samples = load_dataset(options.dataset, options.limit)
+    shown = track(samples, "images", len(samples))
+    console, legend = Console(width=110 if options.ablate else None), LEGEND
+    if options.ablate:
+        rows, legend = ablation.measure_variants(shown), ablation.LEGEND
+        printed, figures = [tables.ablation(rows)], {"rows": [{"name": name, **rows[name]} for name in rows]}
+    elif options.predictions is not None:
+        figures = benchmark.measure_files(shown, options.predictions)
+        printed = tables.tables(options.predictions.resolve().name, figures)
     else:
-        name = "AirLine" if options.preset == "default" else f"AirLine, {options.preset}"
-        figures = measure(track(samples), _detector(options))
-    console = Console()
-    for table in tables(name, figures):
+        figures = benchmark.measure(shown, _detector(options))
+        name = "AirLine" if options.preset in (None, "default") else f"AirLine, {options.preset}"
+        printed = tables.tables(name, figures)
+    for table in printed:
         console.print(table)
-    console.print(LEGEND)
+    console.print(legend, highlight=False)
     write_json(options.json, {"images": len(samples), **figures})
 
 
 def _detector(options: argparse.Namespace) -> Detect:
     import msgspec
 
-    from airline.config import preset as settings_of
+    from airline.config import preset
     from airline.detector import AirLine
 
-    config = settings_of(options.preset)
+    config = preset(options.preset or "default")
     if options.weights is not None:
         config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=options.weights))
-    detector = AirLine(config=config, runtime=options.runtime)
+    detector = AirLine(config=config, runtime=options.runtime or "auto")
     return lambda image: detector(image).segments
 
 

@@ -7,26 +7,23 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 
-from airline.command import EXIT_USER_ERROR, Parser, StderrHandler
+from airline.command import EXIT_USER_ERROR, Parser, StderrHandler, number
 from airline.errors import AirLineError, InputError
+from airline.evaluation.dataset import list_images
 from airline.network.spec import SPECS
 from airline.network.unet import UNet
 from airline.network.weights import save_unet
-from airline.training.dataset import Sample, fingerprint, list_images, load_samples
-from airline.training.loop import State, find_device
-from airline.training.loss import PixelWeights
+from airline.training.crops import Crops
+from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_samples, render_samples
+from airline.training.loop import Schedule, State, find_device
 from airline.training.ranges import measure_ranges
-from airline.training.rendered import HELD_OUT_SEED, render_samples
-from airline.training.schedule import Schedule
 from airline.training.session import Session
 from airline.training.validation import Validation, split
 
@@ -36,20 +33,6 @@ DEFAULT_STEPS = 28000
 HELD_OUT_SCENES = 12
 # what a checkpoint depends on
 SETTINGS = ("model", "minutes", "batch", "rate", "scenes", "views", "seed", "loss_weight", "loss_radius")
-
-
-def number(kind: type[int] | type[float], low: float, below: float = math.inf) -> Callable[[str], float]:
-    """Reader of a number of a kind from `low` on and under `below`."""
-
-    def read(text: str) -> float:
-        value: float = kind(text)
-        if not low <= value < below:
-            upper = f" and below {below:g}" if math.isfinite(below) else ""
-            raise argparse.ArgumentTypeError(f"{text} must be at least {low:g}{upper}")
-        return value
-
-    read.__name__ = kind.__name__  # argparse names it when the text is no number
-    return read
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -64,7 +47,7 @@ def build_parser() -> argparse.ArgumentParser:
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--steps", type=number(int, 1), metavar="N", help=f"training steps (default: {DEFAULT_STEPS})")
     length.add_argument("--minutes", type=number(float, 0.01), metavar="M", help="train for this long instead")
-    batch, rate = Schedule.batch, Schedule.peak_rate
+    batch, rate, weight, radius = Crops.batch, Schedule.peak_rate, Crops.weight, Crops.radius
     add("--batch", type=number(int, 1), default=batch, metavar="N", help="crops per step (default: %(default)s)")
     add("--rate", type=number(float, 1e-9), default=rate, metavar="R", help="peak learning rate (default: %(default)s)")
     add("--scenes", type=number(int, 0), default=0, metavar="N", help="add N rendered scenes with exact lines")
@@ -74,14 +57,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seed", type=number(int, 0, 2**63), default=0, metavar="N", help="of weights, crops and held-out photographs")
     add("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to train (default: %(default)s)")
     add("--validate-every", type=number(float, 0.01), default=180, metavar="SECONDS", help="(default: 180)")
-    add(
-        "--loss-weight",
-        type=number(float, 0, 1),
-        default=0.8,
-        metavar="W",
-        help="the loss's w, weight near lines (default: 0.8)",
-    )
-    add("--loss-radius", type=number(int, 0, 51), default=5, metavar="R", help="and r, how near, px (default: 5)")
+    add("--loss-weight", type=number(float, 0, 1), default=weight, metavar="W", help="w of the loss: near lines")
+    add("--loss-radius", type=number(int, 0, 51), default=radius, metavar="R", help="r of the loss: how near, px")
     return parser
 
 
@@ -105,21 +82,16 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Label, train and write the weights; False if Ctrl-C stopped it and the checkpoint waits to go on.
-
-    Raises:
-        AirLineError: an argument or file cannot be used.
-    """
+    """Label, train, write the weights; False if Ctrl-C stopped it, ready to go on; raises AirLineError."""
     device = find_device(options.device)
     _check_writable(options.out)
     photographs, scenes, held_out_scenes = _samples(options)
     held_out, rest = split(photographs)
     steps = DEFAULT_STEPS if options.steps is None and options.minutes is None else options.steps
-    schedule = Schedule(steps, options.minutes, batch=options.batch, peak_rate=options.rate)
-    weigh = PixelWeights(options.loss_weight, options.loss_radius)
+    crops = Crops(rest + scenes, options.seed, options.batch, weight=options.loss_weight, radius=options.loss_radius)
     session = Session(
-        schedule=schedule,
-        validation=Validation(held_out, held_out_scenes, schedule, weigh),
+        schedule=Schedule(steps, options.minutes, options.rate),
+        validation=Validation(held_out, held_out_scenes, crops),
         validate_every=options.validate_every,
         settings={
             "--images": f"{len(photographs)} photographs ({fingerprint(photographs)})",
@@ -133,21 +105,12 @@ def run(options: argparse.Namespace) -> bool:
     log.info("held out: %d photographs, %d scenes; pictures in %s", len(held_out), len(held_out_scenes), session.sheets)
     torch.manual_seed(options.seed)
     state = State(UNet(SPECS[options.model], norm=True), device)
-    if not session.run(state, rest + scenes, options.seed, weigh):
+    if not session.run(state, crops):
         return False
-    notes = {
-        "images": len(photographs),
-        "scenes": len(scenes),
-        "steps": state.step,
-        "batch": options.batch,
-        "rate": options.rate,
-        "seed": options.seed,
-    }
+    notes = {name: str(getattr(options, name)) for name in ("model", "batch", "rate", "seed")}
+    notes |= {"images": str(len(photographs)), "scenes": str(len(scenes)), "steps": str(state.step)}
     ranges = measure_ranges(state.net.folded(), (sample.gray for sample in held_out + held_out_scenes))
-    digest = save_unet(
-        state.net, options.out, ranges, model=options.model, **{name: str(value) for name, value in notes.items()}
-    )
-    log.info("wrote %s  sha256 %s", options.out, digest)
+    log.info("wrote %s  sha256 %s", options.out, save_unet(state.net, options.out, ranges, **notes))
     return True
 
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 
 from airline import AirLine, UNetEdges
-from airline.evaluation.metrics import score
+from airline.evaluation.dataset import list_images
+from airline.evaluation.metrics import pixel_scores
 from airline.scenes import RenderedClip
 from airline.train import main as train
-from airline.training.dataset import list_images
 
 parser = argparse.ArgumentParser(description="Try the training of the edge network on your photographs.")
 parser.add_argument("--steps", type=int, default=20, help="default: %(default)s, far too few for good weights")
@@ -41,7 +41,7 @@ if code := train([str(word) for word in ["--images", photographs, "--out", out, 
 images = (cv2.imread(str(path)) for path in list_images(photographs))
 image = next(image for image in images if image is not None)
 lines, bundled = AirLine(edges=UNetEdges(out))(image), AirLine("fast")(image)
-agreement = score(lines.segments, bundled.segments, bundled.segments, image.shape[:2])
+agreement = pixel_scores(lines.segments, bundled.segments, bundled.segments, image.shape[:2])
 print(f"weights after {options.steps} steps: {out}")
 print(f"what they have learned, in pictures: {out.with_name('trial-samples')}")
 print(f"lines with them in the first photograph: {len(lines)}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airline.evaluation.dataset import Sample, read_lines
 from airline.evaluation.light import BAD_LIGHT
-from airline.evaluation.metrics import RADII, PixelScores, mean, score
+from airline.evaluation.metrics import RADII, PixelScores, mean, pixel_scores
 from airline.evaluation.repeatability import PairScores, compare, random_view
 
 VIEWS = 3  # per image
@@ -38,7 +38,17 @@ class Tally:
     def add(self, segments: Lines, sample: Sample, shape: tuple[int, int]) -> None:
         """Score the lines of one image."""
         self.lines.append(len(segments))
-        self.scores.append(score(segments, sample.sparse, sample.dense, shape))
+        self.scores.append(pixel_scores(segments, sample.sparse, sample.dense, shape))
+
+    def time(self, detect: Callable[..., Lines], sample: Sample, *inputs: NDArray[Any]) -> Lines:
+        """Run a detector on inputs of which the first is the sample's image, and score and time it."""
+        if not self.ms:  # compilation and first allocations are not what is timed
+            detect(*inputs)
+        started = time.perf_counter()
+        segments = detect(*inputs)
+        self.ms.append(1e3 * (time.perf_counter() - started))
+        self.add(segments, sample, inputs[0].shape)
+        return segments
 
     def figures(self) -> Figures:
         """Means over the images (of the times: the median); times and views only where there are any."""
@@ -70,26 +80,24 @@ def measure(samples: Iterable[Sample], ours: Detect) -> Figures:
     tallies = {name: Tally() for name in (*detectors, "lsd_prepared")}
     for index, sample in enumerate(samples):
         image = sample.read()
-        if index == 0:
-            for detect in detectors.values():  # compilation and first allocations are not what is timed
-                detect(image)
         for name, detect in detectors.items():
-            started = time.perf_counter()
-            segments = detect(image)
-            tallies[name].ms.append(1e3 * (time.perf_counter() - started))
-            tallies[name].add(segments, sample, image.shape)
-            tallies[name].pairs += _views(detect, segments, image, index)
+            segments = tallies[name].time(detect, sample, image)
+            rng = np.random.default_rng(index)
+            for _ in range(VIEWS):
+                view, homography = random_view(rng, image)
+                tallies[name].pairs.append(compare(segments, detect(view), homography, image.shape))
         for light, bad in BAD_LIGHT.items():
             poor = bad.degrade(image, index)
             found = {name: detect(poor) for name, detect in detectors.items()}
             found["lsd_prepared"] = detectors["lsd"](bad.prepare(poor))
             for name, segments in found.items():
-                tallies[name].bad_light[light].append(score(segments, sample.sparse, sample.dense, image.shape))
-    return {
-        **tallies["ours"].figures(),
-        "lsd": tallies["lsd"].figures(),
-        "bad_light": {light: _bad_light(tallies, light) for light in BAD_LIGHT},
-    }
+                scores = pixel_scores(segments, sample.sparse, sample.dense, image.shape)
+                tallies[name].bad_light[light].append(scores)
+    figures = {**tallies["ours"].figures(), "lsd": tallies["lsd"].figures(), "bad_light": {}}
+    for light in BAD_LIGHT:
+        rivals = {name: _precision_recall(mean(tally.bad_light[light])) for name, tally in tallies.items()}
+        figures["bad_light"][light] = {**rivals.pop("ours"), **rivals}
+    return figures
 
 
 def measure_files(samples: Iterable[Sample], folder: Path) -> Figures:
@@ -107,27 +115,12 @@ def measure_files(samples: Iterable[Sample], folder: Path) -> Figures:
 def lsd() -> Detect:
     """OpenCV's LSD (Grompone von Gioi et al. 2010) as people run it: default settings, coordinates as they come."""
     detector = cv2.createLineSegmentDetector()
-
-    def detect(image: Image) -> Lines:
-        lines = detector.detect(image)[0]
-        return np.zeros((0, 2, 2)) if lines is None else np.asarray(lines, np.float64).reshape(-1, 2, 2)
-
-    return detect
+    return lambda image: as_lines(detector.detect(image)[0])
 
 
-def _views(detect: Detect, segments: Lines, image: Image, index: int) -> list[PairScores]:
-    """Scores against the lines of random views of the image; the same views for every detector."""
-    rng = np.random.default_rng(index)
-    pairs = []
-    for _ in range(VIEWS):
-        view, homography = random_view(rng, image)
-        pairs.append(compare(segments, detect(view), homography, image.shape))
-    return pairs
-
-
-def _bad_light(tallies: dict[str, Tally], light: str) -> Figures:
-    figures = {name: _precision_recall(mean(tally.bad_light[light])) for name, tally in tallies.items()}
-    return {**figures.pop("ours"), **figures}
+def as_lines(found: NDArray[Any] | None) -> Lines:
+    """(N, 2, 2) of what OpenCV's detectors return."""
+    return np.zeros((0, 2, 2)) if found is None else np.asarray(found, np.float64).reshape(-1, 2, 2)
 
 
 def _precision_recall(scores: PixelScores) -> Figures:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.image import to_gray
 
-IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
-MAX_COORDINATE = 1e6  # px; the renderer draws with 32-bit integers
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm"}
+MAX_COORDINATE = 1e6  # px; lines are drawn with 32-bit integers
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,7 @@ class Sample:
     dense: NDArray[np.float64]
 
     def read(self) -> NDArray[np.uint8]:
-        """The (H, W) grey image.
-
-        Raises:
-            InputError: the file is no image.
-        """
+        """The (H, W) grey image; InputError where the file is none."""
         image = cv2.imread(str(self.path), cv2.IMREAD_COLOR)
         if image is None:
             raise InputError(f"{self.path} cannot be read as an image: replace or remove it")
@@ -56,12 +52,16 @@ def load_dataset(folder: Path, limit: int | None = None) -> list[Sample]:
     for part in (images, sparse, dense):
         if not part.is_dir():
             raise InputError(f"no folder {part}: a data set has the folders images, lines_denis and lines_cho")
-    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)[:limit]
-    if not paths:
-        raise InputError(f"no images in {images}: put photographs (jpg, png, ...) there")
-    return [
-        Sample(path, read_lines(sparse / f"{path.stem}.txt"), read_lines(dense / f"{path.stem}.txt")) for path in paths
-    ]
+    paths = list_images(images)[:limit]
+    return [Sample(path, *(read_lines(part / f"{path.stem}.txt") for part in (sparse, dense))) for path in paths]
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Image files directly in a folder, sorted by name; InputError if there are none."""
+    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    if not found:
+        raise InputError(f"no images in {folder}: give a folder of photographs (jpg, png, ...)")
+    return found
 
 
 def read_lines(path: Path) -> NDArray[np.float64]:

@@ -33,19 +33,13 @@ class PixelScores:
 
     @property
     def f1(self) -> float:
-        """F-score at 1 px."""
-        return f_score(self.p1, self.r1)
+        """F-score at 1 px: the harmonic mean of `p1` and `r1`."""
+        return 2 * self.p1 * self.r1 / ((self.p1 + self.r1) or 1)
 
     @property
     def f2(self) -> float:
         """F-score at 2 px."""
-        return f_score(self.p2, self.r2)
-
-
-def f_score(precision: float, recall: float) -> float:
-    """Harmonic mean; 0 where both are 0."""
-    total = precision + recall
-    return 2 * precision * recall / total if total > 0 else 0.0
+        return 2 * self.p2 * self.r2 / ((self.p2 + self.r2) or 1)
 
 
 def draw(segments: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -72,7 +66,7 @@ def coverage(mask: NDArray[np.bool_], distance: NDArray[np.float32], radius: flo
     return 100 * float(near.mean()) if near.size else 100.0
 
 
-def score(
+def pixel_scores(
     segments: NDArray[np.floating],
     sparse: NDArray[np.floating],
     dense: NDArray[np.floating],
@@ -90,17 +84,12 @@ def score(
     """
     found, few, many = (draw(lines, shape) for lines in (segments, sparse, dense))
     to_found, to_many = distance_to(found), distance_to(many)
-    return PixelScores(
-        lp=tuple(coverage(few, to_found, radius) for radius in RADII),
-        p1=coverage(found, to_many, 1),
-        r1=coverage(many, to_found, 1),
-        p2=coverage(found, to_many, 2),
-        r2=coverage(many, to_found, 2),
-    )
+    lp = tuple(coverage(few, to_found, radius) for radius in RADII)
+    pairs = [(coverage(found, to_many, radius), coverage(many, to_found, radius)) for radius in (1, 2)]
+    return PixelScores(lp, *pairs[0], *pairs[1])
 
 
 def mean(scores: Sequence[PixelScores]) -> PixelScores:
     """Mean over images; its F-scores are those of the mean precision and recall."""
     lp = np.mean([s.lp for s in scores], axis=0).tolist()
-    p1, r1, p2, r2 = np.mean([(s.p1, s.r1, s.p2, s.r2) for s in scores], axis=0).tolist()
-    return PixelScores(tuple(lp), p1, r1, p2, r2)
+    return PixelScores(tuple(lp), *np.mean([(s.p1, s.r1, s.p2, s.r2) for s in scores], axis=0).tolist())

@@ -64,8 +64,11 @@ def compare(image_lines: Lines, view_lines: Lines, homography: Homography, shape
         shape: (height, width) of both.
     """
     inverse = np.linalg.inv(homography)
-    first = _long_enough(clip(image_lines, warp(corners(shape), inverse)))
-    second = _long_enough(warp(clip(view_lines, warp(corners(shape), homography)), inverse))
+    seen = clip(image_lines, warp(corners(shape), inverse)), clip(view_lines, warp(corners(shape), homography))
+    first, second = (
+        lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) >= MIN_LENGTH]
+        for lines in (seen[0], warp(seen[1], inverse))
+    )
     if not len(first) or not len(second):
         return PairScores(0.0, nan)
     distances = match(first, second)
@@ -114,10 +117,6 @@ def _project(lines: Lines, onto: Lines) -> tuple[NDArray[np.float64], NDArray[np
 def _directions(lines: Lines) -> NDArray[np.float64]:
     delta = np.asarray(lines[:, 1] - lines[:, 0], np.float64)
     return np.asarray(delta / np.linalg.norm(delta, axis=1, keepdims=True))
-
-
-def _long_enough(lines: Lines) -> Lines:
-    return np.asarray(lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) >= MIN_LENGTH])
 
 
 def corners(shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -2,73 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 Figures = dict[str, Any]
+PIXELS = ("p2", "r2", "f2")  # all detectors have them, in any light
+LINES = {"lines": 1, "repeatability": 3, "localisation": 3, "ms": 1}  # decimals
+TITLES = {"localisation": "localisation, px", "ms": "median ms"}
 
 
-def tables(name: str, figures: Figures) -> Iterator[Table]:
+def tables(name: str, figures: Figures) -> list[Table]:
     """What was measured of the detector `name`, and of LSD where that ran beside it."""
     rivals = {name: figures} | ({"LSD": figures["lsd"]} if "lsd" in figures else {})
-    yield _scores(rivals)
-    yield _lines(rivals)
+    found = [
+        _table("Scores, %", rivals, dict.fromkeys((*PIXELS, "f1"), 1)),
+        _table("Lines per image", rivals, {key: n for key, n in LINES.items() if key in figures}, lp=False),
+    ]
     if "bad_light" in figures:
-        yield _bad_light(name, figures["bad_light"])
+        rows = {}
+        for light, scores in figures["bad_light"].items():
+            entries = {name: scores, "LSD": scores["lsd"], "LSD, prepared": scores["lsd_prepared"]}
+            rows.update({f"{light}: {row}": entry for row, entry in entries.items()})
+        found.append(_table("Bad light, %", rows, dict.fromkeys(PIXELS, 1), lp=False))
+    return found
 
 
 def ablation(rows: dict[str, Figures]) -> Table:
     """Scores, lines per image and median ms of every variant of the detector."""
-    radii = next(iter(rows.values()))["lp"]
-    table = _table("Ablation, %", *(f"LP{radius}" for radius in radii), "P2", "R2", "F2", "lines", "ms")
-    for name, figures in rows.items():
-        scores = [*figures["lp"].values(), *(figures[key] for key in ("p2", "r2", "f2"))]
-        table.add_row(name, *(f"{value:.1f}" for value in scores), f"{figures['lines']:.0f}", f"{figures['ms']:.1f}")
-    return table
+    return _table("Ablation, %", rows, {**dict.fromkeys(PIXELS, 1), "lines": 0, "ms": 1}, {"ms": "ms"})
 
 
-def _table(title: str, *columns: str) -> Table:
+def _table(
+    title: str, rows: dict[str, Figures], decimals: dict[str, int], titles: dict[str, str] = TITLES, lp: bool = True
+) -> Table:
+    """Figures by name; what a row lacks is a dash."""
     table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    for column in columns:
+    radii = [*next(iter(rows.values()))["lp"]] if lp else []
+    names = (titles.get(key, key.upper() if key in (*PIXELS, "f1") else key) for key in decimals)
+    for column in (*(f"LP{radius}" for radius in radii), *names):
         table.add_column(column, justify="right")
-    return table
-
-
-def _scores(rivals: dict[str, Figures]) -> Table:
-    radii = next(iter(rivals.values()))["lp"]
-    table = _table("Scores, %", *(f"LP{radius}" for radius in radii), "P2", "R2", "F2", "F1")
-    for name, figures in rivals.items():
-        values = [*figures["lp"].values(), *(figures[key] for key in ("p2", "r2", "f2", "f1"))]
-        table.add_row(name, *(f"{value:.1f}" for value in values))
-    return table
-
-
-def _lines(rivals: dict[str, Figures]) -> Table:
-    """Line counts, and what only a detector that ran here has: repeatability, localisation, time."""
-    formats = {
-        "lines": ("lines", "{:.1f}"),
-        "repeatability": ("repeatability", "{:.3f}"),
-        "localisation": ("localisation, px", "{:.3f}"),
-        "ms": ("median ms", "{:.1f}"),
-    }
-    known = [key for key in formats if key in next(iter(rivals.values()))]
-    table = _table("Lines per image", *(formats[key][0] for key in known))
-    for name, figures in rivals.items():
-        values = (figures[key] for key in known)
-        table.add_row(
-            name, *("-" if v is None else formats[k][1].format(v) for k, v in zip(known, values, strict=True))
-        )
-    return table
-
-
-def _bad_light(name: str, lights: Figures) -> Table:
-    table = _table("Bad light, %", "P2", "R2", "F2")
-    for light, figures in lights.items():
-        rows = {name: figures, "LSD": figures["lsd"], "LSD, prepared": figures["lsd_prepared"]}
-        for row, scores in rows.items():
-            table.add_row(f"{light}: {row}", *(f"{scores[key]:.1f}" for key in ("p2", "r2", "f2")))
-        table.add_section()
+    for name, figures in rows.items():
+        values = [(figures["lp"][radius], 1) for radius in radii] + [(figures[key], n) for key, n in decimals.items()]
+        table.add_row(name, *("-" if value is None else f"{value:.{n}f}" for value, n in values))
     return table

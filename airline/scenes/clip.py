@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.scenes import raster, visibility
-from airline.scenes.effects import CLEAN, CameraEffects, blur_rotation, develop, exposure_at
-from airline.scenes.layout_indoor import indoor_scene
-from airline.scenes.layout_shelves import shelves_scene
-from airline.scenes.layout_street import street_scene
-from airline.scenes.paths import motion, pose_at
-from airline.scenes.primitives import Scene
+from airline.scenes.builder import Scene
+from airline.scenes.camera import CLEAN, MOTIONS, CameraEffects, blur_rotation, develop, exposure_at, pose_at
+from airline.scenes.rooms import indoor_scene, shelves_scene
+from airline.scenes.street import street_scene
 from airline.scenes.textures import texture_bank
 
 FRAMES_PER_SECOND = 30
@@ -33,10 +31,10 @@ class RenderedView:
     Attributes:
         image: (H, W, 3) uint8 BGR.
         depth: (H, W) float32 distance along the optical axis, m; inf where there is sky.
-        segments_px: (N, 2, 2) float32 visible pieces of lines, px, (0, 0) at the centre of the top-left pixel.
+        segments_px: (N, 2, 2) float32 visible pieces of lines, px.
         segments_world: (N, 2, 3) float64 the same end points in space, m.
-        ids: (N,) int64 the physical line each piece belongs to, the same over the whole sequence. An outline of a pipe
-            keeps its id although its place on the pipe moves with the camera.
+        ids: (N,) int64 the physical line each piece belongs to, the same over the whole clip; an outline of a pipe
+            keeps its id although it moves over the pipe with the camera.
         K: (3, 3) float64 intrinsic matrix, px.
         pose: (4, 4) float64 world_from_camera; camera x right, y down, z forward.
         stamp_ns: time since the sequence's start, ns.
@@ -64,8 +62,7 @@ class RenderedClip:
         size: (width, height), px.
         effects: the camera's imperfections; None for the clean image. The ground truth does not depend on it.
         min_contrast: lines whose sides differ by less in the clean image are not ground truth, grey levels.
-        merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are, so that it can be
-            told where a detection may be either.
+        merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are.
     """
 
     kind: str = "indoor"
@@ -80,7 +77,8 @@ class RenderedClip:
     def __post_init__(self) -> None:
         if self.kind not in _LAYOUTS:
             raise ConfigError(f"unknown kind of scene '{self.kind}': use one of {', '.join(_LAYOUTS)}")
-        motion(self.motion)
+        if self.motion not in MOTIONS:
+            raise ConfigError(f"unknown motion '{self.motion}': use one of {', '.join(MOTIONS)}")
         if self.frames < 1:
             raise ConfigError(f"a sequence needs at least 1 frame, not {self.frames}")
         if min(self.size) < 32:
@@ -103,7 +101,7 @@ class RenderedClip:
 
     def pose(self, i: float) -> NDArray[np.float64]:
         """(4, 4) float64 world_from_camera of frame `i`; fractions are times between frames."""
-        return pose_at(build_scene(self.kind, self.seed).walk, motion(self.motion), self.seed, i / FRAMES_PER_SECOND)
+        return pose_at(build_scene(self.kind, self.seed).walk, MOTIONS[self.motion], self.seed, i / FRAMES_PER_SECOND)
 
     def render(self, i: int) -> RenderedView:
         """Frame `i` in [0, frames); IndexError outside."""
@@ -144,36 +142,28 @@ def render_scene(
     min_contrast: float,
     merge_doubles: bool = True,
 ) -> tuple[NDArray[np.float32], RenderedView]:
-    """The clean view of a scene.
-
-    Args:
-        scene: the world.
-        pose: (4, 4) world_from_camera.
-        K: (3, 3) intrinsic matrix with square pixels, px.
-        size: (width, height), px.
-        min_contrast: least difference between the two sides of a line, grey levels of the clean image.
-        merge_doubles: keep only the longest of lines closer than 1.5 px.
+    """The clean view of a scene from `pose` (world_from_camera) by a camera with square pixels; see `RenderedClip`.
 
     Returns:
         (H, W, 3) float32 linear BGR image, and the view at time 0 with that image under a plain display curve.
     """
-    (width, height), focal, cx, cy = size, K[0, 0], K[0, 2], K[1, 2]
+    focal, centre, (cx, cy) = K[0, 0], K[:2, 2], K[:2, 2]
     rotation = np.ascontiguousarray(pose[:3, :3].T)
     translation = -rotation @ pose[:3, 3]
-    view = (rotation, translation, focal, cx, cy, width, height)
-    faces, inverse, bounds, depths = raster.project_faces(scene.origins, scene.u, scene.v, *view)
-    functions = raster.pixel_functions(inverse, focal, cx, cy)
+    faces, inverse, bounds, depths = raster.project_faces(scene, rotation, translation, focal, centre, size)
+    functions = raster.pixel_functions(inverse, focal, centre)
     material = (scene.materials[faces], scene.textures[faces], texture_bank())
-    sky = (raster.sky_function(pose, focal, cx, cy), scene.sky)
-    linear, depth = raster.draw(functions, bounds, raster.SAMPLES, *material, *sky, width, height)
+    sky = (raster.sky_function(pose, focal, centre), scene.sky)
+    linear, depth = raster.draw(functions, bounds, raster.SAMPLES, *material, *sky, *size)
     image = develop(linear, 1.0, CLEAN, 0, 0)
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
     outlines = visibility.pipe_outlines(scene.pipes, scene.radii, pose[:3, 3]).reshape(-1, 2, 3)
-    ids, points = visibility.clip_to_view(np.concatenate([scene.lines, outlines]), *view)
+    lines = raster.to_camera(np.concatenate([scene.lines, outlines]), rotation, translation)
+    ids, points = visibility.clip_to_view(lines, focal, cx, cy, *size)
     rows, pieces = visibility.remove_hidden(points, inverse, bounds, depths, focal, cx, cy)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     ids, pieces = visibility.keep_contrast(ids[rows], pieces, grey, min_contrast, focal, cx, cy)
-    pixels = (focal * pieces[:, :, :2] / pieces[:, :, 2:] + K[:2, 2]).astype(np.float32)
+    pixels = (focal * pieces[:, :, :2] / pieces[:, :, 2:] + centre).astype(np.float32)
     keep = visibility.drop_doubles(pixels) if merge_doubles else np.ones(len(pixels), np.bool_)
     world = pieces[keep] @ pose[:3, :3].T + pose[:3, 3]
     return linear, RenderedView(image, depth, pixels[keep], world, ids[keep], K, pose, 0)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.scenes.builder import Scene
 from airline.scenes.textures import LEVELS, SIZE, STRIDE
 
 NEAR = 0.05  # m
@@ -22,73 +23,52 @@ BAND = 32  # rows
 SAMPLES = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 
 
-@njit()
-def project_faces(origins, u, v, rotation, translation, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
-    """Faces that look at the camera and may touch the image.
+def to_camera(
+    vectors: NDArray[np.float64], rotation: NDArray[np.float64], translation: NDArray[np.float64] | float = 0.0
+) -> NDArray[np.float64]:
+    """World vectors (..., 3) in camera coordinates; every element is computed alike, whatever the array's shape."""
+    x, y, z = np.moveaxis(vectors, -1, 0)[..., None]
+    return np.asarray(translation + rotation[:, 0] * x + rotation[:, 1] * y + rotation[:, 2] * z)
+
+
+def project_faces(
+    scene: Scene,
+    rotation: NDArray[np.float64],
+    translation: NDArray[np.float64],
+    focal: float,
+    centre: NDArray[np.float64],
+    size: tuple[int, int],
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Faces that look at the camera and may touch the image of a (width, height).
 
     Returns:
-        faces: (M,) int64 rows; inverse: (M, 3, 3) float64 M^-1 in camera coordinates; bounds: (M, 4) float64
-        x0, y0, x1, y1 in px; depths: (M,) float64 nearest depth, m.
+        faces: (M,) rows.
+        inverse: (M, 3, 3) M^-1 in camera coordinates.
+        bounds: (M, 4) x0, y0, x1, y1, px.
+        depths: (M,) nearest depth, m.
     """
-    count = origins.shape[0]
-    faces = np.empty(count, np.int64)
-    inverse = np.empty((count, 3, 3))
-    bounds = np.empty((count, 4))
-    depths = np.empty(count)
-    o, a, b = np.empty(3), np.empty(3), np.empty(3)
-    found = 0
-    for f in range(count):
-        for c in range(3):
-            o[c], a[c], b[c] = translation[c], 0.0, 0.0
-            for k in range(3):
-                o[c] += rotation[c, k] * origins[f, k]
-                a[c] += rotation[c, k] * u[f, k]
-                b[c] += rotation[c, k] * v[f, k]
-        n0 = a[1] * b[2] - a[2] * b[1]
-        n1 = a[2] * b[0] - a[0] * b[2]
-        n2 = a[0] * b[1] - a[1] * b[0]
-        det = n0 * o[0] + n1 * o[1] + n2 * o[2]
-        if det > -1e-9:
-            continue
-        x0, y0, x1, y1 = 1e9, 1e9, -1e9, -1e9
-        near, far = 1e9, -1e9
-        for k in range(4):
-            p, q = float(k & 1), float(k >> 1)
-            z = o[2] + p * a[2] + q * b[2]
-            near, far = min(near, z), max(far, z)
-            if z > NEAR:
-                x = focal * (o[0] + p * a[0] + q * b[0]) / z + cx
-                y = focal * (o[1] + p * a[1] + q * b[1]) / z + cy
-                x0, y0, x1, y1 = min(x0, x), min(y0, y), max(x1, x), max(y1, y)
-        if far <= NEAR:
-            continue
-        if near <= NEAR:
-            x0, y0, x1, y1 = -1.0, -1.0, width, height
-        if x1 < -0.5 or y1 < -0.5 or x0 > width - 0.5 or y0 > height - 0.5:
-            continue
-        m = inverse[found]
-        m[0, 0] = (b[1] * o[2] - b[2] * o[1]) / det
-        m[0, 1] = (b[2] * o[0] - b[0] * o[2]) / det
-        m[0, 2] = (b[0] * o[1] - b[1] * o[0]) / det
-        m[1, 0] = (o[1] * a[2] - o[2] * a[1]) / det
-        m[1, 1] = (o[2] * a[0] - o[0] * a[2]) / det
-        m[1, 2] = (o[0] * a[1] - o[1] * a[0]) / det
-        m[2, 0], m[2, 1], m[2, 2] = n0 / det, n1 / det, n2 / det
-        bounds[found, 0], bounds[found, 1], bounds[found, 2], bounds[found, 3] = x0, y0, x1, y1
-        depths[found] = max(near, NEAR)
-        faces[found] = f
-        found += 1
-    return faces[:found].copy(), inverse[:found].copy(), bounds[:found].copy(), depths[:found].copy()
+    o, u, v = to_camera(scene.origins, rotation, translation), *(to_camera(a, rotation) for a in (scene.u, scene.v))
+    normal = np.cross(u, v)
+    det = normal[:, 0] * o[:, 0] + normal[:, 1] * o[:, 1] + normal[:, 2] * o[:, 2]
+    corners = np.stack([o, o + u, o + v, o + u + v], axis=1)
+    z = corners[..., 2:]
+    near, far = z.min(axis=(1, 2)), z.max(axis=(1, 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = focal * corners[..., :2] / z + centre
+    low = np.where(z > NEAR, pixels, 1e9).min(axis=1)
+    high = np.where(z > NEAR, pixels, -1e9).max(axis=1)
+    low[near <= NEAR], high[near <= NEAR] = -1, size
+    inside = (high >= -0.5).all(axis=1) & (low <= np.array(size) - 0.5).all(axis=1)
+    faces = np.nonzero((det <= -1e-9) & (far > NEAR) & inside)[0]
+    o, u, v = o[faces], u[faces], v[faces]
+    inverse = np.stack([np.cross(v, o), np.cross(o, u), normal[faces]], axis=1) / det[faces, None, None]
+    return faces, inverse, np.concatenate([low, high], axis=1)[faces], np.maximum(near, NEAR)[faces]
 
 
-@njit()
-def pixel_functions(inverse, focal, cx, cy):  # type: ignore[no-untyped-def]
+def pixel_functions(inverse: NDArray[np.float64], focal: float, centre: NDArray[np.float64]) -> NDArray[np.float64]:
     """(M, 3, 3) float64: a/z, b/z and 1/z of each face as c0 x + c1 y + c2 of the pixel's position."""
-    functions = np.empty_like(inverse)
-    functions[:, :, 0] = inverse[:, :, 0] / focal
-    functions[:, :, 1] = inverse[:, :, 1] / focal
-    functions[:, :, 2] = inverse[:, :, 2] - (inverse[:, :, 0] * cx + inverse[:, :, 1] * cy) / focal
-    return functions
+    c0, c1, c2 = np.moveaxis(inverse, -1, 0)
+    return np.stack([c0 / focal, c1 / focal, c2 - (c0 * centre[0] + c1 * centre[1]) / focal], axis=-1)
 
 
 @njit()
@@ -127,15 +107,9 @@ def _rasterize(functions, bounds, samples, first_row, columns, nearest, index): 
                         high = min(high, x)
                 start, stop = int(np.ceil(low)), int(np.floor(high)) + 1
                 if start < stop:
+                    near, face = nearest[s, y - first_row, start:stop], index[s, y - first_row, start:stop]
                     constant = np.float32(g[2, 0] * dx + g[2, 1] * (y + dy) + g[2, 2])
-                    _fill(
-                        nearest[s, y - first_row, start:stop],
-                        index[s, y - first_row, start:stop],
-                        columns[start:stop],
-                        np.float32(g[2, 0]),
-                        constant,
-                        np.int32(f),
-                    )
+                    _fill(near, face, columns[start:stop], np.float32(g[2, 0]), constant, np.int32(f))
 
 
 @njit()
@@ -292,7 +266,9 @@ def _add_sky(sky_map, sky, start, stop, y, weight, out):  # type: ignore[no-unty
             out[x, c] += weight * (sky[0, c] + rise * (sky[1, c] - sky[0, c]))
 
 
-def sky_function(world_from_camera: NDArray[np.float64], focal: float, cx: float, cy: float) -> NDArray[np.float64]:
+def sky_function(
+    world_from_camera: NDArray[np.float64], focal: float, centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """(3,) float64: twice the height of a pixel's ray (z = 1) above the horizon, as c0 x + c1 y + c2."""
     up = 2 * world_from_camera[2, :3]
-    return np.array([up[0] / focal, up[1] / focal, up[2] - (up[0] * cx + up[1] * cy) / focal])
+    return np.array([up[0] / focal, up[1] / focal, up[2] - (up[0] * centre[0] + up[1] * centre[1]) / focal])

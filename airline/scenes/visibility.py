@@ -8,6 +8,7 @@ is one interval per face, found by clipping; no depth buffer and no sampling is 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
 from airline.scenes.raster import NEAR
@@ -18,27 +19,21 @@ SIDE = 1.5  # px from the line at which its two sides are compared
 MERGE = 1.5  # px: closer parallel lines are one line to any observer
 
 
-@njit()
-def pipe_outlines(pipes, radii, centre):  # type: ignore[no-untyped-def]
+def pipe_outlines(
+    pipes: NDArray[np.float64], radii: NDArray[np.float64], centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """(C, 2, 2, 3) float64: per pipe the two lines where rays from `centre` (3,) graze it (NaN from inside)."""
-    outlines = np.full((len(pipes), 2, 2, 3), np.nan)
-    for c in range(len(pipes)):
-        start, end = pipes[c, 0], pipes[c, 1]
-        axis = (end - start) / np.sqrt(np.sum((end - start) ** 2))
-        away = centre - start
-        away = away - np.sum(away * axis) * axis
-        distance = np.sqrt(np.sum(away * away))
-        if distance <= radii[c]:
-            continue
-        away /= distance
-        side = np.cross(axis, away)
-        cosine = radii[c] / distance
-        sine = np.sqrt(1 - cosine * cosine)
-        for k in range(2):
-            offset = radii[c] * (cosine * away + (2 * k - 1) * sine * side)
-            outlines[c, k, 0] = start + offset
-            outlines[c, k, 1] = end + offset
-    return outlines
+    axis = pipes[:, 1] - pipes[:, 0]
+    axis /= np.sqrt(np.sum(axis**2, axis=1, keepdims=True))
+    away = centre - pipes[:, 0]
+    away -= np.sum(away * axis, axis=1, keepdims=True) * axis
+    distance = np.sqrt(np.sum(away * away, axis=1, keepdims=True))
+    away /= distance
+    cosine = radii[:, None] / distance
+    with np.errstate(invalid="ignore"):
+        across = np.sqrt(1 - cosine * cosine) * np.cross(axis, away)
+    offset = radii[:, None, None] * np.stack([cosine * away - across, cosine * away + across], axis=1)
+    return np.asarray(pipes[:, None] + offset[:, :, None])
 
 
 @njit()
@@ -54,23 +49,25 @@ def _clip(low, high, at0, at1):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def clip_to_view(lines, rotation, translation, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
+def _pixels_long(a, b, focal):  # type: ignore[no-untyped-def]
+    return np.hypot(a[0] / a[2] - b[0] / b[2], a[1] / a[2] - b[1] / b[2]) * focal
+
+
+@njit()
+def clip_to_view(lines, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
     """Cut lines to what lies in front of the camera and inside the image (pixel centres 0..W-1, 0..H-1).
 
+    Args:
+        lines: (N, 2, 3) float64 camera coordinates; NaN: no line.
+
     Returns:
-        rows: (M,) int64 rows of `lines` (N, 2, 3, world); points: (M, 2, 3) float64 camera coordinates.
+        rows: (M,) int64 rows of `lines`; points: (M, 2, 3) float64 camera coordinates.
     """
     rows = np.empty(len(lines), np.int64)
     points = np.empty((len(lines), 2, 3))
-    p, q = np.empty(3), np.empty(3)
     found = 0
     for n in range(len(lines)):
-        for c in range(3):
-            p[c] = translation[c]
-            q[c] = translation[c]
-            for k in range(3):
-                p[c] += rotation[c, k] * lines[n, 0, k]
-                q[c] += rotation[c, k] * lines[n, 1, k]
+        p, q = lines[n, 0], lines[n, 1]
         if not (np.isfinite(p[0]) and (p[2] > NEAR or q[2] > NEAR)):
             continue
         low, high = _clip(0.0, 1.0, p[2] - NEAR, q[2] - NEAR)
@@ -80,14 +77,12 @@ def clip_to_view(lines, rotation, translation, focal, cx, cy, width, height):  #
         low, high = _clip(low, high, (height - 1 - cy) * p[2] - focal * p[1], (height - 1 - cy) * q[2] - focal * q[1])
         if low >= high:
             continue
-        for c in range(3):
-            points[found, 0, c] = p[c] + low * (q[c] - p[c])
-            points[found, 1, c] = p[c] + high * (q[c] - p[c])
         a, b = points[found, 0], points[found, 1]
-        if np.hypot(a[0] / a[2] - b[0] / b[2], a[1] / a[2] - b[1] / b[2]) * focal < MIN_LENGTH:
-            continue
-        rows[found] = n
-        found += 1
+        a[:] = p + low * (q - p)
+        b[:] = p + high * (q - p)
+        if _pixels_long(a, b, focal) >= MIN_LENGTH:
+            rows[found] = n
+            found += 1
     return rows[:found].copy(), points[:found].copy()
 
 
@@ -107,6 +102,7 @@ def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: igno
     found = 0
     hidden = np.empty((len(inverse), 2))
     margin = np.empty(len(inverse))
+    start_at, end_at = np.empty(3), np.empty(3)
     for f in range(len(inverse)):
         # The third row of M^-1 is the plane's normal over its distance: its length turns metres into shares of that.
         margin[f] = 1 + BEHIND * np.sqrt(np.sum(inverse[f, 2] ** 2))
@@ -119,15 +115,15 @@ def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: igno
         for f in range(len(inverse)):
             if x1 < bounds[f, 0] or x0 > bounds[f, 2] or y1 < bounds[f, 1] or y0 > bounds[f, 3] or far < depths[f]:
                 continue
-            m = inverse[f]
-            a0, a1 = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2], m[0, 0] * q[0] + m[0, 1] * q[1] + m[0, 2] * q[2]
-            b0, b1 = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2], m[1, 0] * q[0] + m[1, 1] * q[1] + m[1, 2] * q[2]
-            c0, c1 = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2], m[2, 0] * q[0] + m[2, 1] * q[1] + m[2, 2] * q[2]
-            low, high = _clip(0.0, 1.0, c0 - margin[f], c1 - margin[f])
-            low, high = _clip(low, high, a0, a1)
-            low, high = _clip(low, high, b0, b1)
-            low, high = _clip(low, high, c0 - a0, c1 - a1)
-            low, high = _clip(low, high, c0 - b0, c1 - b1)
+            for k in range(3):
+                m = inverse[f, k]
+                start_at[k] = m[0] * p[0] + m[1] * p[1] + m[2] * p[2]
+                end_at[k] = m[0] * q[0] + m[1] * q[1] + m[2] * q[2]
+            low, high = _clip(0.0, 1.0, start_at[2] - margin[f], end_at[2] - margin[f])
+            for k in range(2):
+                low, high = _clip(low, high, start_at[k], end_at[k])
+            for k in range(2):
+                low, high = _clip(low, high, start_at[2] - start_at[k], end_at[2] - end_at[k])
             if high - low > 1e-9:
                 hidden[count, 0], hidden[count, 1] = low, high
                 count += 1
@@ -136,9 +132,8 @@ def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: igno
         for k in range(count + 1):
             start = hidden[order[k], 0] if k < count else 1.0
             if start > reached and found < capacity:
-                a = p + reached * (q - p)
-                b = p + start * (q - p)
-                if np.hypot(a[0] / a[2] - b[0] / b[2], a[1] / a[2] - b[1] / b[2]) * focal >= MIN_LENGTH:
+                a, b = p + reached * (q - p), p + start * (q - p)
+                if _pixels_long(a, b, focal) >= MIN_LENGTH:
                     rows[found] = n
                     pieces[found, 0], pieces[found, 1] = a, b
                     found += 1

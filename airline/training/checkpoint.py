@@ -19,6 +19,7 @@ log = logging.getLogger("airline.train")
 
 Settings = Mapping[str, str | int | float | None]  # by the name of the option
 LENGTHS = ("--steps", "--minutes")
+COUNTERS = ("step", "seconds", "best", "best_step")  # of the state
 DAMAGE = (OSError, EOFError, LookupError, RuntimeError, TypeError, ValueError, pickle.UnpicklingError,
           zipfile.BadZipFile, zlib.error)  # fmt: skip
 
@@ -34,10 +35,7 @@ def save(state: State, settings: Settings, finished: bool, path: Path) -> None:
         "finished": finished,
         "net": state.net.state_dict(),
         "optimiser": state.optimiser.state_dict(),
-        "step": state.step,
-        "seconds": state.seconds,
-        "best": state.best,
-        "best_step": state.best_step,
+        **{name: getattr(state, name) for name in COUNTERS},
     }
     partial = path.with_name(path.name + ".partial")
     try:
@@ -60,12 +58,11 @@ def restore(state: State, settings: Settings, path: Path) -> None:
         _check(content["settings"], settings, content["finished"], path)
         state.net.load_state_dict(content["net"])
         state.optimiser.load_state_dict(content["optimiser"])
-        for name in ("step", "seconds", "best", "best_step"):
+        for name in COUNTERS:
             setattr(state, name, content[name])
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise InputError(
-            f"{path} is no checkpoint of this training ({_short(error)}): delete it to start again"
-        ) from None
+        reason = f"is no checkpoint of this training ({_short(error)})"
+        raise InputError(f"{path} {reason}: delete it to start again") from None
     log.info("going on at step %d from %s", state.step, path)
 
 
@@ -83,18 +80,16 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _check(stored: Settings, settings: Settings, finished: bool, path: Path) -> None:
-    changed = [key for key in settings if stored[key] != settings[key]]
-    if not changed:
-        return
-    length, before = settings[changed[0]], stored[changed[0]]
-    if len(changed) == 1 and changed[0] in LENGTHS and finished and float(length or 0) > float(before or 0):
-        log.info("the finished training is extended from %s %s to %s, on the schedule of the new length",
-                 changed[0], before, length)  # fmt: skip
-        return
-    differences = ", ".join(f"{key} was {stored[key]} and is {settings[key]}" for key in changed)
-    raise InputError(
-        f"{path} was made with other settings ({differences}): repeat them to go on, or delete the file to start again"
-    )
+    changed = {key: (stored[key], settings[key]) for key in settings if stored[key] != settings[key]}
+    for key, (before, now) in changed.items():
+        if len(changed) == 1 and key in LENGTHS and finished and float(now or 0) > float(before or 0):
+            log.info("the finished training is extended from %s %s to %s, on the schedule of the new length",
+                     key, before, now)  # fmt: skip
+            return
+    if changed:
+        differences = ", ".join(f"{key} was {before} and is {now}" for key, (before, now) in changed.items())
+        advice = "repeat them to go on, or delete the file to start again"
+        raise InputError(f"{path} was made with other settings ({differences}): {advice}")
 
 
 def _short(error: Exception) -> str:

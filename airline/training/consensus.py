@@ -6,32 +6,19 @@ warps of it, map the segments back, and give every piece of a line the share of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.evaluation.repeatability import corners
 from airline.kernels.compiled import njit
 
 SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view
 SUPPORT_ANGLE = np.deg2rad(8.0)
 PIECE = 8.0  # px, length over which a share is averaged
 MIN_LENGTH = 8.0  # px
-
-
-@dataclass(frozen=True)
-class PseudoLabels:
-    """Labelled line pieces of one image.
-
-    Attributes:
-        pieces: (N, 2, 2) float32 px, short pieces of lines.
-        shares: (N,) float32 in [0, 1], the share of the views that saw the piece.
-    """
-
-    pieces: NDArray[np.float32]
-    shares: NDArray[np.float32]
 
 
 def detect_lsd(gray: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.float32]:
@@ -61,8 +48,7 @@ def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np
     tilt = np.eye(3)
     tilt[:2, :2] = turn
     tilt[2, :2] = rng.uniform(-0.25, 0.25, 2) / max(width, height)
-    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
-    seen = cv2.perspectiveTransform(corners[None], tilt @ centre)[0]
+    seen = cv2.perspectiveTransform(corners((height, width))[None], tilt @ centre)[0]
     back = np.eye(3)
     back[:2, 2] = -seen.min(axis=0)
     homography: NDArray[np.float64] = back @ tilt @ centre
@@ -70,53 +56,45 @@ def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np
 
 
 def degrade(rng: np.random.Generator, gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Random gamma, contrast and a little noise of one view.
-
-    Little, because heavy blur and noise hide real lines from the classical detector and so from the labels; the network
-    learns bad light from inputs that are degraded far more.
-    """
+    """Random gamma, contrast and a little noise of one view; more would hide real lines from the labels."""
     image: NDArray[Any] = 255 * (gray / np.float32(255)) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
     image *= np.float32(rng.uniform(0.8, 1.1))
     image += rng.standard_normal(image.shape, np.float32) * np.float32(rng.uniform(0, 1.5))
     return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
-def consensus(gray: NDArray[np.uint8], views: int, rng: np.random.Generator) -> PseudoLabels:
-    """Lines of an image with the share of `views` random views that saw each piece of them.
+def consensus(
+    gray: NDArray[np.uint8], views: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Pieces of lines of an (H, W) image, and the share of `views` random views beside the image that saw each.
 
-    Args:
-        gray: (H, W) uint8.
-        views: number of random views beside the image itself.
-        rng: source of the views.
+    Returns:
+        pieces: (N, 2, 2) float32 px, about `PIECE` long.
+        shares: (N,) float32 in [0, 1].
     """
     height, width = gray.shape
     candidates = np.concatenate([detect_lsd(gray), detect_lsd(gray, 0.5)])
     hits = [_view_lines(gray, random_view(rng, width, height), rng) for _ in range(views)]
-    counts = np.array([len(lines) for lines in hits])
-    everything = np.concatenate([*hits, np.zeros((0, 2, 2), np.float32)])
-    refined, pieces, shares = _score(candidates, everything, np.concatenate([[0], np.cumsum(counts)]))
+    ends = np.cumsum([0, *(len(lines) for lines in hits)])
+    refined, pieces, shares = _support(candidates, np.concatenate(hits), ends)
     order = np.argsort(-shares, kind="stable")
     keep = _suppress(pieces[order], refined[order])
-    return PseudoLabels(refined[order][keep], shares[order][keep].astype(np.float32))
+    return refined[order][keep], shares[order][keep].astype(np.float32)
 
 
 def _view_lines(
     gray: NDArray[np.uint8], homography: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    height, width = gray.shape
-    corners = np.array([[[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]], np.float64)
-    size = np.ceil(cv2.perspectiveTransform(corners, homography)[0].max(axis=0)).astype(int) + 1
+    size = np.ceil(cv2.perspectiveTransform(corners(gray.shape)[None], homography)[0].max(axis=0)).astype(int) + 1
     warped = cv2.warpPerspective(gray, homography, (int(size[0]), int(size[1])), borderMode=cv2.BORDER_REPLICATE)
-    lines = detect_lsd(degrade(rng, warped))
-    if not len(lines):
-        return lines
-    inverse = np.linalg.inv(homography)
-    back = cv2.perspectiveTransform(lines.reshape(1, -1, 2).astype(np.float64), inverse)
-    return np.asarray(back.reshape(-1, 2, 2), np.float32)
+    lines = detect_lsd(degrade(rng, warped)).astype(np.float64)
+    if len(lines):
+        lines = cv2.perspectiveTransform(lines.reshape(1, -1, 2), np.linalg.inv(homography)).reshape(-1, 2, 2)
+    return lines.astype(np.float32)
 
 
 @njit()
-def _score(candidates, views, offsets):  # type: ignore[no-untyped-def]
+def _support(candidates, views, offsets):  # type: ignore[no-untyped-def]
     """Cut candidates into pieces; move each line to the mean of its supporters; share of views per piece."""
     n_views = len(offsets) - 1
     total = 0

@@ -1,4 +1,4 @@
-"""The training loop."""
+"""The training loop, its loss, and how long it runs and how fast it learns."""
 
 from __future__ import annotations
 
@@ -8,18 +8,47 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Literal
 
 import torch
+from torch.nn import functional
 
 from airline.errors import ConfigError
 from airline.network.unet import UNet
-from airline.training.batches import batches
-from airline.training.dataset import Sample
-from airline.training.loss import PixelWeights, edge_loss
-from airline.training.schedule import Schedule
+from airline.training.crops import Crops
 
-Device = Literal["auto", "cpu", "cuda"]
+
+@dataclass(frozen=True)
+class Schedule:
+    """A training of so many steps, or of so many minutes.
+
+    Attributes:
+        steps: number of steps; with it, what is learned depends on the seed alone.
+        minutes: wall time instead; exactly one of the two is given.
+        peak_rate: highest learning rate.
+        warmup: steps until it is reached.
+    """
+
+    steps: int | None = None
+    minutes: float | None = None
+    peak_rate: float = 2e-3
+    warmup: int = 200
+
+    def done(self, step: int, seconds: float) -> float:
+        """Share of the training that is behind us after `step` steps and `seconds`; 1 or more at its end."""
+        if self.steps is not None:
+            return step / self.steps
+        assert self.minutes is not None
+        return seconds / (60 * self.minutes)
+
+    def rate(self, step: int, seconds: float) -> float:
+        """Learning rate: a linear warm-up, then a cosine down to a hundredth of the peak."""
+        if step < self.warmup:
+            return self.peak_rate * (step + 1) / self.warmup
+        if self.steps is not None:
+            share = (step - self.warmup) / max(1, self.steps - self.warmup)
+        else:
+            share = min(1.0, self.done(step, seconds))
+        return self.peak_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
 
 
 @dataclass
@@ -29,10 +58,8 @@ class State:
     Attributes:
         net: the network, with batch normalisation.
         device: where it is trained.
-        step: number of steps behind us.
-        seconds: wall time behind us.
-        best: highest F-score of a validation so far, percent.
-        best_step: when that was.
+        step, seconds: what is behind us.
+        best: highest F-score of a validation so far, percent, at `best_step`.
     """
 
     net: UNet
@@ -48,33 +75,34 @@ class State:
         self.optimiser = torch.optim.AdamW(self.net.parameters(), weight_decay=1e-4)
 
 
-def find_device(name: Device) -> torch.device:
-    """The device of a name; "auto" is CUDA where there is one.
-
-    Raises:
-        ConfigError: CUDA was asked for and there is none.
-    """
+def find_device(name: str) -> torch.device:
+    """The device "cpu", "cuda" or "auto", which is CUDA where there is one; ConfigError where "cuda" is not there."""
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("no CUDA device is available: use --device cpu or auto")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
+def edge_loss(logits: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Weighted mean of the binary cross entropy with soft targets, a scalar.
+
+    Args:
+        logits: (B, 1, H, W) predictions before the sigmoid.
+        target: (B, 1, H, W) in [0, 1].
+        weights: (B, 1, H, W) of `pixel_weights`.
+    """
+    total = functional.binary_cross_entropy_with_logits(logits.float(), target, weights, reduction="sum")
+    return total / weights.sum()
+
+
 def train(
-    state: State,
-    samples: list[Sample],
-    schedule: Schedule,
-    seed: int,
-    weigh: PixelWeights,
-    after_step: Callable[[float], bool] = lambda loss: False,
+    state: State, crops: Crops, schedule: Schedule, after_step: Callable[[float], bool] = lambda loss: False
 ) -> None:
     """Train from where `state` stands to the end of the schedule.
 
     Args:
         state: changed in place.
-        samples: what to draw crops from; those of a step depend on `seed` and its number alone.
+        crops: what to learn from.
         schedule: how long, and how fast.
-        seed: of the crops.
-        weigh: how much each pixel counts in the loss.
         after_step: called with the loss after every step; True stops the training, ready to go on later.
 
     Raises:
@@ -84,11 +112,11 @@ def train(
     started = time.monotonic() - state.seconds
     # a GPU is faster than one thread makes crops; on a CPU the network wants the cores itself
     workers = min(16, os.cpu_count() or 1) if device.type == "cuda" else 1
-    with closing(batches(samples, schedule, weigh, seed, state.step, workers)) as crops:
+    with closing(crops.ahead(state.step, workers)) as batches:
         while schedule.done(state.step, state.seconds) < 1:
             for group in optimiser.param_groups:
                 group["lr"] = schedule.rate(state.step, state.seconds)
-            image, target, weights = (part.to(device) for part in next(crops))
+            image, target, weights = (part.to(device) for part in next(batches))
             with torch.autocast(device.type, torch.bfloat16):
                 logits = net(image.contiguous(memory_format=torch.channels_last))
             loss = edge_loss(logits, target, weights)

@@ -17,14 +17,9 @@ IMAGES = 0.95  # in so many of the images: one odd image must not take the other
 
 
 def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:
-    """Least and largest input of each convolution but the first, over most of some images.
+    """Least and largest input of each convolution but the first, by its name, over most of some (H, W) uint8 images.
 
-    Args:
-        net: the network, normalisation folded.
-        images: (H, W) uint8.
-
-    Returns:
-        By the name of the convolution.
+    `net` has its normalisation folded.
     """
     found: dict[str, list[tuple[float, float]]] = {}
 

@@ -11,15 +11,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
 from airline.training import checkpoint
-from airline.training.dataset import Sample
-from airline.training.loop import State, train
-from airline.training.loss import PixelWeights
-from airline.training.progress import TrainingProgress, training_progress
-from airline.training.schedule import Schedule
+from airline.training.crops import Crops
+from airline.training.loop import Schedule, State, train
 from airline.training.validation import Validation
 
 log = logging.getLogger("airline.train")
+LOG_EVERY = 30.0  # s, where no terminal shows a bar
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Session:
 
     Attributes:
         schedule: how long, and how fast.
-        validation: what to measure, not only at the end but
-        validate_every: so many seconds, too; each time a checkpoint is kept.
+        validation: what to measure at the end, and also
+        validate_every: so many seconds; each time a checkpoint is kept.
         settings: what a checkpoint must agree with.
         checkpoint: its file.
         sheets: folder for pictures of held-out samples.
@@ -42,48 +43,58 @@ class Session:
     checkpoint: Path
     sheets: Path
 
-    def run(self, state: State, samples: list[Sample], seed: int, weigh: PixelWeights) -> bool:
+    def run(self, state: State, crops: Crops) -> bool:
         """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it before.
 
         Raises:
             AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
         """
         checkpoint.restore(state, self.settings, self.checkpoint)
-        with training_progress(self.schedule.steps, state.step) as progress, first_interrupt() as asked:
-            validated = time.monotonic()
+        console, steps = Console(stderr=True), f"/{self.schedule.steps}" if self.schedule.steps else ""
+        columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
+        first, smoothed, score = state.step, 0.0, ""
+        with Progress(*columns, console=console, disable=not console.is_terminal) as bar, first_interrupt() as asked:
+            task = bar.add_task(f"step {first}{steps}", total=1.0)
+            started = validated = logged = time.monotonic()
 
             def after_step(loss: float) -> bool:
-                nonlocal validated
-                progress.update(state.step, self._done(state), loss)
-                if time.monotonic() - validated >= self.validate_every and self._done(state) < 1:
-                    self._validate(state, progress)
+                nonlocal smoothed, score, validated, logged
+                done, now, count = self.schedule.done(state.step, state.seconds), time.monotonic(), state.step - first
+                smoothed += max(0.02, 1 / count) * (loss - smoothed)
+                speed = count / max(now - started, 1e-6)
+                text = f"step {state.step}{steps}  {speed:.1f} steps/s  loss {smoothed:.4f}  {score}".rstrip()
+                bar.update(task, completed=min(done, 1.0), description=text)
+                if bar.disable and (now - logged >= LOG_EVERY or done >= 1):
+                    logged = now
+                    log.info("%s", text)
+                if now - validated >= self.validate_every and done < 1:
+                    score = self._validate(state)
                     checkpoint.save(state, self.settings, False, self.checkpoint)
                     validated = time.monotonic()
                 return asked.is_set()
 
-            train(state, samples, self.schedule, seed, weigh, after_step)
-            finished = self._done(state) >= 1
+            train(state, crops, self.schedule, after_step)
+            finished = self.schedule.done(state.step, state.seconds) >= 1
             if finished:
-                self._validate(state, progress)
+                self._validate(state)
             checkpoint.save(state, self.settings, finished, self.checkpoint)
         if not finished:
             log.info("stopped at step %d: the same command goes on from %s", state.step, self.checkpoint)
         return finished
 
-    def _done(self, state: State) -> float:
-        return self.schedule.done(state.step, state.seconds)
-
-    def _validate(self, state: State, progress: TrainingProgress) -> None:
+    def _validate(self, state: State) -> str:
+        """Log the scores and write a picture; the score for the progress bar."""
         scores = self.validation.measure(state.net, state.device)
-        latest = scores["photographs"].f2
+        latest = scores["photographs"][1].f2
         if latest >= state.best:
             state.best, state.best_step = latest, state.step
-        progress.score = f"F {latest:.1f}"
-        for kind, score in scores.items():
-            log.info("step %d  held-out %s: %s", state.step, kind, score)
+        for kind, (loss, lines) in scores.items():
+            figures = loss, lines.f2, lines.p2, lines.r2
+            log.info("step %d  held-out %s: loss %.4f, F %.1f (P %.1f, R %.1f)", state.step, kind, *figures)
         log.info("step %d  best F on photographs: %.1f at step %d", state.step, state.best, state.best_step)
         self.sheets.mkdir(exist_ok=True)
         self.validation.write_sheet(state.net, state.device, self.sheets / f"step-{state.step:06d}.png")
+        return f"F {latest:.1f}"
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,38 +12,19 @@ from numpy.typing import NDArray
 
 from airline.detector import AirLine
 from airline.errors import InputError
-from airline.evaluation.metrics import mean, score
+from airline.evaluation.metrics import PixelScores, mean, pixel_scores
+from airline.image import scale_points
 from airline.network.unet import UNet
 from airline.stages.edges import UNetEdges
-from airline.training.batches import Batch, make_batch
-from airline.training.dataset import Sample, draw_labels
-from airline.training.loss import PixelWeights, edge_loss
-from airline.training.schedule import Schedule
+from airline.training.crops import Batch, Crops, draw_labels
+from airline.training.dataset import Sample
+from airline.training.loop import edge_loss
 
 MAX_PHOTOGRAPHS = 60
 TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
-BATCHES = 4  # of fixed crops, for the loss
+SEED = 12345  # of the crops for the loss
+BATCHES = 4  # of them
 PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
-
-
-@dataclass(frozen=True)
-class Score:
-    """Scores on one kind of held-out samples.
-
-    Attributes:
-        loss: mean over fixed augmented crops.
-        p2: precision at 2 px of the detector's lines against the labels, percent.
-        r2: recall likewise.
-        f2: F-score of the two.
-    """
-
-    loss: float
-    p2: float
-    r2: float
-    f2: float
-
-    def __str__(self) -> str:
-        return f"loss {self.loss:.4f}, F {self.f2:.1f} (P {self.p2:.1f}, R {self.r2:.1f})"
 
 
 def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
@@ -55,24 +36,26 @@ def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
 class Validation:
     """Measures networks on the same held-out samples, always in the same way."""
 
-    def __init__(
-        self, photographs: list[Sample], scenes: list[Sample], schedule: Schedule, weigh: PixelWeights
-    ) -> None:
-        """Keep the samples, and make the crops on which the loss is measured."""
+    def __init__(self, photographs: list[Sample], scenes: list[Sample], crops: Crops) -> None:
+        """Keep the samples, and make the crops on which the loss is measured, as `crops` makes them."""
         self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
-        self._crops: dict[str, list[Batch]] = {
-            kind: [make_batch(samples, schedule, weigh, (12345, k)) for k in range(BATCHES)]
-            for kind, samples in self._kinds.items()
-        }
+        own = {kind: replace(crops, samples=samples, seed=SEED) for kind, samples in self._kinds.items()}
+        self._crops = {kind: [each.at(step) for step in range(BATCHES)] for kind, each in own.items()}
 
-    def measure(self, net: UNet, device: torch.device) -> dict[str, Score]:
-        """Scores by kind of sample; the network is as before afterwards."""
+    def measure(self, net: UNet, device: torch.device) -> dict[str, tuple[float, PixelScores]]:
+        """By kind of sample, the mean loss on fixed crops, and scores of the detector's lines against trusted labels.
+
+        The network is as before afterwards.
+        """
         plain = _folded(net, device)
-        detector = _detector(plain)
-        return {
-            kind: Score(self._mean_loss(plain, self._crops[kind], device), *_line_scores(detector, samples))
-            for kind, samples in self._kinds.items()
-        }
+        detector, found = _detector(plain), {}
+        for kind, samples in self._kinds.items():
+            scores = []
+            for sample in samples:
+                trusted = sample.pieces[sample.shares >= TRUSTED]
+                scores.append(pixel_scores(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
+            found[kind] = _mean_loss(plain, self._crops[kind], device), mean(scores)
+        return found
 
     def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
         """A picture of three photographs and a scene (four photographs where there are no scenes).
@@ -83,31 +66,29 @@ class Validation:
         photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
         few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
         detector = _detector(_folded(net, device))
-        if not cv2.imwrite(str(path), np.concatenate([sheet_row(sample, detector) for sample in few])):
+        if not cv2.imwrite(str(path), np.concatenate([_sheet_row(sample, detector) for sample in few])):
             raise InputError(f"cannot write {path}: make room, or give an --out elsewhere")
 
-    @torch.inference_mode()
-    def _mean_loss(self, net: UNet, crops: list[Batch], device: torch.device) -> float:
-        losses = []
-        for batch in crops:
-            image, target, weights = (part.to(device) for part in batch)
-            logits = net(image.contiguous(memory_format=torch.channels_last))
-            losses.append(edge_loss(logits, target, weights).item())
-        return float(np.mean(losses))
+
+@torch.inference_mode()
+def _mean_loss(net: UNet, crops: list[Batch], device: torch.device) -> float:
+    losses = []
+    for batch in crops:
+        image, target, weights = (part.to(device) for part in batch)
+        losses.append(edge_loss(net(image.contiguous(memory_format=torch.channels_last)), target, weights).item())
+    return float(np.mean(losses))
 
 
-def sheet_row(sample: Sample, detector: AirLine) -> NDArray[np.uint8]:
+def _sheet_row(sample: Sample, detector: AirLine) -> NDArray[np.uint8]:
     """One row of a sheet, BGR: the image, its labels, the edges found and the lines found."""
-    height, width = sample.gray.shape
-    trace = detector.trace(sample.gray)
-    labels = draw_labels(sample.labels.pieces, sample.labels.shares, max(height, width))[:height, :width]
-    scale = min(PANEL[0] / width, PANEL[1] / height)
-    dim = _panel(sample.gray // 2, scale)
-    points = np.rint(((trace.lines.segments + 0.5) * scale - 0.5) * 16).astype(int)
-    for start, end in points.tolist():
+    trace, gray = detector.trace(sample.gray), sample.gray
+    scale = min(side / length for side, length in zip(PANEL, gray.shape[::-1], strict=True))
+    maps = draw_labels(sample.pieces, sample.shares, gray.shape), trace.edges
+    pictures = gray, *((255 * each).astype(np.uint8) for each in maps), gray // 2
+    *panels, dim = (_panel(picture, scale) for picture in pictures)
+    for start, end in np.rint(scale_points(trace.lines.segments, scale) * 16).astype(int).tolist():
         cv2.line(dim, start, end, (80, 220, 255), 1, cv2.LINE_AA, 4)
-    maps = [_panel((255 * values).astype(np.uint8), scale) for values in (labels, trace.edges)]
-    return np.concatenate([_panel(sample.gray, scale), *maps, dim], axis=1)
+    return np.concatenate([*panels, dim], axis=1)
 
 
 def _panel(gray: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
@@ -120,21 +101,10 @@ def _panel(gray: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
 
 def _folded(net: UNet, device: torch.device) -> UNet:
     training = net.training
-    plain = net.folded().to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    plain: UNet = net.folded().to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     net.train(training)  # folding looks at batch normalisation in evaluation mode
-    assert isinstance(plain, UNet)
     return plain
 
 
 def _detector(plain: UNet) -> AirLine:
     return AirLine(edges=UNetEdges(plain, "cuda" if plain.head.weight.is_cuda else "torch"))
-
-
-def _line_scores(detector: AirLine, samples: list[Sample]) -> tuple[float, float, float]:
-    """P, R and F at 2 px of the detected lines against the trusted pieces, percent."""
-    scores = []
-    for sample in samples:
-        trusted = sample.labels.pieces[sample.labels.shares >= TRUSTED]
-        scores.append(score(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
-    overall = mean(scores)
-    return overall.p2, overall.r2, overall.f2

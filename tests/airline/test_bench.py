@@ -1,4 +1,4 @@
-"""The detector's benchmark: what it prints and writes."""
+"""The detector's benchmark: what it prints, writes and draws."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 
 from airline.bench import main
@@ -22,8 +23,12 @@ def all_cores() -> Iterator[None]:
     os.sched_setaffinity(0, cores)
 
 
-def test_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], all_cores: None) -> None:
-    pictures = [str(path) for path in sorted(clip.iterdir())[:2]]
+@pytest.fixture
+def pictures(clip: Path) -> list[str]:
+    return [str(path) for path in sorted(clip.iterdir())[:2]]
+
+
+def test_figures(pictures, tmp_path, capsys, all_cores):
     file = tmp_path / "bench.json"
     flags = ["--size", "160x120", "--preset", "fast", "--rounds", "2", "--threads", "1", "--json", str(file)]
     assert main([*pictures, *flags]) == 0
@@ -40,6 +45,15 @@ def test_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     assert f"detect_batch): {figures['batch_fps']:.0f} images/s" in printed
 
 
+def test_cost_is_drawn_and_told(pictures, tmp_path, capsys):
+    out = tmp_path / "cost.png"
+    assert main([*pictures, "--cost", str(out), "--size", "160x120", "--rounds", "1"]) == 0
+    assert cv2.imread(str(out)).shape[0] > 300
+    printed = capsys.readouterr().out
+    for text in ("80x60", "\n160x120", "480x360", f"wrote {out}"):
+        assert text in printed
+
+
 @pytest.mark.parametrize(
     ("flags", "hint"),
     [
@@ -47,11 +61,17 @@ def test_figures(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
         (["--size", "3x3"], "WIDTHxHEIGHT"),
         (["--rounds", "0"], "--rounds"),
         (["--threads", "9999"], "--threads"),
+        (["--cost", "a.jpg"], ".png"),
+        (["--json", "nowhere/figures.json"], "no folder"),
         (["missing.png"], "missing.png"),
     ],
 )
-def test_errors(flags: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(flags) == 2
+def test_errors(flags, hint, capsys):
+    try:
+        code = main(flags)
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
     captured = capsys.readouterr()
     assert captured.err.startswith("error: ")
     assert hint in captured.err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.evaluate import main
 from airline.evaluation.benchmark import lsd, measure
-from airline.evaluation.dataset import load_dataset, read_lines
-from airline.evaluation.light import BAD_LIGHT, Preparation, darken, motion_blur, overexpose
+from airline.evaluation.dataset import list_images, load_dataset, read_lines
+from airline.evaluation.light import BAD_LIGHT, BadLight, darken, motion_blur, overexpose
 from airline.evaluation.repeatability import clip, compare, corners, match, measure_pairs, random_view, warp
 
 SHAPE = (120, 160)
@@ -34,7 +33,7 @@ def _random_lines(seed: int, count: int = 40) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_ideal_detector_repeats_everything_exactly(seed: int) -> None:
+def test_an_ideal_detector_repeats_everything_exactly(seed):
     lines = _random_lines(seed)
     _, homography = random_view(np.random.default_rng(seed), np.zeros(SHAPE, np.uint8))
     seen = clip(warp(lines, homography), corners(SHAPE))  # it finds no line outside its image
@@ -43,48 +42,32 @@ def test_an_ideal_detector_repeats_everything_exactly(seed: int) -> None:
     assert scores.localisation == pytest.approx(0, abs=1e-9)
 
 
-def test_repeatability_is_the_mean_of_both_directions() -> None:
+def test_what_the_scores_of_a_pair_are():
     lines = np.concatenate([_line(20, y, 120, y) for y in (20, 40, 60, 80)])
     scores = compare(lines, lines[:2] + (0, 0.5), np.eye(3), SHAPE)
-    assert scores.repeatability == pytest.approx((2 / 4 + 2 / 2) / 2)
+    assert scores.repeatability == pytest.approx((2 / 4 + 2 / 2) / 2), "the mean of both directions"
     assert scores.localisation == pytest.approx(0.5)
-
-
-def test_localisation_is_of_the_50_best_matches() -> None:
     lines = np.concatenate([_line(5, 2 * y, 150, 2 * y) for y in range(1, 56)])
-    moved = lines.copy()
-    moved[:5, :, 1] += 0.4
-    assert compare(lines, moved, np.eye(3), SHAPE).localisation == pytest.approx(0, abs=1e-12)
-    moved[5:10, :, 1] += 0.4
-    assert compare(lines, moved, np.eye(3), SHAPE).localisation == pytest.approx(5 * 0.4 / 50)
+    moved = lines + np.where(np.arange(55) < 10, 0.4, 0)[:, None, None] * (0, 1)
+    assert compare(lines, moved, np.eye(3), SHAPE).localisation == pytest.approx(5 * 0.4 / 50), "of the 50 best"
+    none = compare(lines[:0], lines[:0], np.eye(3), SHAPE)
+    assert none.repeatability == 0.0
+    assert np.isnan(none.localisation)
 
 
-def test_only_lines_that_both_images_see_count() -> None:
+def test_only_lines_that_both_images_see_count():
     shift = np.array([[1, 0, 100], [0, 1, 0], [0, 0, 1.0]])
     seen, lost = _line(5, 20, 50, 20), _line(70, 30, 150, 30)
     assert compare(np.concatenate([seen, lost]), seen + (100, 0), shift, SHAPE).repeatability == 1.0
     assert compare(lost, _line(5, 50, 90, 50), shift, SHAPE).repeatability == 0.0
 
 
-def test_no_lines_repeat_nothing() -> None:
-    none = np.zeros((0, 2, 2))
-    scores = compare(none, none, np.eye(3), SHAPE)
-    assert scores.repeatability == 0.0
-    assert np.isnan(scores.localisation)
-
-
-def test_matching_is_one_to_one() -> None:
+def test_matching_is_one_to_one_and_nearest_first():
     line = _line(20, 20, 120, 20)
     twice = np.concatenate([line + (0, 0.4), line + (0, 0.1)])
     assert match(line, twice) == pytest.approx([0.1])
-    assert compare(line, twice, np.eye(3), SHAPE).repeatability == pytest.approx((1 + 1 / 2) / 2)
-
-
-def test_nearest_pairs_are_matched_first() -> None:
-    line = _line(20, 20, 120, 20)
-    assert match(
-        np.concatenate([line, line + (0, 2)]), np.concatenate([line + (0, 1.8), line + (0, 4)])
-    ) == pytest.approx([0.2])
+    pairs = np.concatenate([line, line + (0, 2)]), np.concatenate([line + (0, 1.8), line + (0, 4)])
+    assert match(*pairs) == pytest.approx([0.2])
 
 
 @pytest.mark.parametrize(
@@ -98,17 +81,17 @@ def test_nearest_pairs_are_matched_first() -> None:
         (_line(0, 0, 34, 0), 1),  # all of one and a third of the other
     ],
 )
-def test_what_matches(other: NDArray[np.float64], matches: int) -> None:
+def test_what_matches(other, matches):
     assert len(match(_line(0, 0, 100, 0), other)) == matches
 
 
 @pytest.mark.parametrize(("degrees", "matches"), [(29, 1), (31, 0)])
-def test_lines_at_an_angle_do_not_match(degrees: float, matches: int) -> None:
+def test_lines_at_an_angle_do_not_match(degrees, matches):
     arm = 5.5 * np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])  # the ends are under 3 px away
     assert len(match(_line(-5.5, 0, 5.5, 0), _line(*-arm, *arm))) == matches
 
 
-def test_distance_is_the_mean_over_both_lines_and_their_ends() -> None:
+def test_distance_is_the_mean_over_both_lines_and_their_ends():
     distance, overlap, cosine = measure_pairs(_line(0, 0, 100, 0), _line(0, 1, 100, 3))
     slope = np.hypot(1, 0.02)
     assert distance.item() == pytest.approx((2 + 2 / slope) / 2)
@@ -116,7 +99,7 @@ def test_distance_is_the_mean_over_both_lines_and_their_ends() -> None:
     assert overlap.item() == pytest.approx(0.9998, abs=1e-3)
 
 
-def test_clipping_keeps_what_is_inside() -> None:
+def test_clipping_keeps_what_is_inside():
     frame = corners((11, 21))
     assert clip(_line(-10, 5, 30, 5), frame).tolist() == [[[0, 5], [20, 5]]]
     assert clip(_line(5, 20, 15, 0), frame).tolist() == [[[10, 10], [15, 0]]]
@@ -124,7 +107,7 @@ def test_clipping_keeps_what_is_inside() -> None:
     assert len(clip(_line(-10, 5, -1, 5), frame)) == len(clip(_line(0, 12, 20, 12), frame)) == 0
 
 
-def test_views_agree_with_their_homography() -> None:
+def test_views_agree_with_their_homography():
     image = np.zeros((240, 320), np.uint8)
     centre = np.array([140.0, 110.0])
     cv2.circle(image, (140, 110), 4, 255, -1)
@@ -141,41 +124,33 @@ def test_views_agree_with_their_homography() -> None:
 # bad light
 
 
-def test_darkness_keeps_a_quarter_and_adds_noise() -> None:
+def test_what_bad_light_does():
     image = np.full((200, 200), 240, np.uint8)
     dark = darken(image, 3)
     assert dark.mean() == pytest.approx(60, abs=0.2)
     assert dark.std() == pytest.approx(8, abs=0.1)
     assert np.array_equal(dark, darken(image, 3))
     assert not np.array_equal(dark, darken(image, 4))
-
-
-def test_motion_blur_is_symmetric() -> None:
-    image = np.zeros((9, 31), np.uint8)
-    image[4, 15] = 90
-    expected = np.zeros_like(image)
-    expected[4, 11:20] = 10
-    assert np.array_equal(motion_blur(image, 0), expected)
-
-
-def test_overexposure_clips() -> None:
+    dot, expected = np.zeros((2, 9, 31), np.uint8)
+    dot[4, 15], expected[4, 11:20] = 90, 10
+    assert np.array_equal(motion_blur(dot, 0), expected)
     assert overexpose(np.array([[10, 127, 128, 250]], np.uint8), 0).tolist() == [[20, 254, 255, 255]]
 
 
-def test_preparation_blurs_sharpens_and_stretches() -> None:
+def test_preparation_blurs_sharpens_and_stretches():
     step = np.repeat(np.array([[50, 100]], np.uint8), 40, axis=1)
-    blurred, sharpened = Preparation(sigma=2, amount=-1, gain=1)(step), Preparation(sigma=2, amount=1, gain=1)(step)
+    blurred, sharpened = (BadLight(darken, sigma=2, amount=amount, gain=1).prepare(step) for amount in (-1, 1))
     np.testing.assert_array_equal(blurred, cv2.GaussianBlur(step, (0, 0), 2))
     assert 50 < blurred[0, 39] < 75 < blurred[0, 40] < 100
     assert sharpened[0, 39] < 50
     assert sharpened[0, 40] > 100
-    assert set(Preparation(sigma=2, amount=0, gain=4)(step)[0].tolist()) == {200, 255}
+    assert set(BadLight(darken, sigma=2, amount=0, gain=4).prepare(step)[0].tolist()) == {200, 255}
 
 
 # data sets
 
 
-def test_line_files(tmp_path: Path) -> None:
+def test_line_files(tmp_path):
     path = tmp_path / "lines.txt"
     path.write_text("1 2 3 4 0.9\n\n5.5 6 -7 8e1 0.1 line\n")
     assert read_lines(path).tolist() == [[[1, 2], [3, 4]], [[5.5, 6], [-7, 80]]]
@@ -184,24 +159,21 @@ def test_line_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"1 2 3\n", b"1 2 3 4\n1 2\n", b"1 2 3\n4 1 2\n3 4 1\n2 3 4\n", b"a b c d\n", b"\xff\xfe"]
+    ("content", "message"),
+    [
+        *((bad, r"lines\.txt is malformed") for bad in (b"1 2 3\n", b"1 2 3 4\n1 2\n", b"a b c d\n", b"\xff\xfe")),
+        (b"1 2 3\n4 1 2\n3 4 1\n2 3 4\n", r"lines\.txt is malformed"),  # four times three numbers
+        *((b"1 2 3 " + bad, "coordinates") for bad in (b"nan", b"inf", b"-1e7")),
+    ],
 )
-def test_malformed_line_files(tmp_path: Path, content: bytes) -> None:
+def test_malformed_line_files(tmp_path, content, message):
     path = tmp_path / "lines.txt"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"lines\.txt is malformed"):
+    with pytest.raises(InputError, match=message):
         read_lines(path)
 
 
-@pytest.mark.parametrize("number", ["nan", "inf", "-1e7"])
-def test_impossible_coordinates(tmp_path: Path, number: str) -> None:
-    path = tmp_path / "lines.txt"
-    path.write_text(f"1 2 3 {number}\n")
-    with pytest.raises(InputError, match="coordinates"):
-        read_lines(path)
-
-
-def test_dataset(dataset: Path) -> None:
+def test_dataset(dataset):
     samples = load_dataset(dataset)
     assert [sample.path.name for sample in samples] == ["0.png", "1.png"]
     assert [(len(sample.sparse), len(sample.dense)) for sample in samples] == [(4, 4), (4, 8)]
@@ -209,10 +181,20 @@ def test_dataset(dataset: Path) -> None:
     assert len(load_dataset(dataset, limit=1)) == 1
 
 
+def test_only_image_files_are_listed(tmp_path):
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(InputError, match="no images in"):
+        list_images(tmp_path)
+    for name in ("b.PNG", "a.jpg"):
+        (tmp_path / name).touch()
+    assert [path.name for path in list_images(tmp_path)] == ["a.jpg", "b.PNG"]
+
+
 # the measurements and the command
 
 
-def test_both_sides_are_measured_alike(dataset: Path) -> None:
+def test_both_sides_are_measured_alike(dataset):
     """LSD against LSD: the same images, views and noise for both, so everything but the time agrees."""
     figures = measure(load_dataset(dataset), lsd())
     rival = figures.pop("lsd")
@@ -227,28 +209,21 @@ def test_both_sides_are_measured_alike(dataset: Path) -> None:
     assert figures["bad_light"]["dark"]["lsd_prepared"]["r2"] > figures["bad_light"]["dark"]["r2"]
 
 
-def test_a_detector_that_finds_nothing(dataset: Path) -> None:
+def test_a_detector_that_finds_nothing(dataset):
     figures = measure(load_dataset(dataset, limit=1), lambda image: np.zeros((0, 2, 2)))
     assert (figures["p2"], figures["r2"], figures["f2"], figures["lines"]) == (100, 0, 0, 0)
     assert (figures["repeatability"], figures["localisation"]) == (0, None)
 
 
-def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(dataset, tmp_path, capsys):
     out = tmp_path / "figures.json"
     assert main([str(dataset), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert set(figures) == {"images", *RUN_KEYS, "lsd", "bad_light"}
     assert set(figures["lsd"]) == set(RUN_KEYS)
     assert figures["images"] == 2
-    for scores in (figures, figures["lsd"]):
-        assert list(scores["lp"]) == ["0", "1", "2", "3", "5", "10"]
-        assert scores["p2"] > 90
-        assert scores["r2"] > 90
-        assert scores["ms"] > 0
+    assert min(scores[key] for scores in (figures, figures["lsd"]) for key in ("p2", "r2")) > 90
     assert set(figures["bad_light"]) == set(BAD_LIGHT) == {"dark", "blur", "bright"}
-    for light in figures["bad_light"].values():
-        assert set(light) == {"p2", "r2", "f2", "lsd", "lsd_prepared"}
-        assert set(light["lsd"]) == set(light["lsd_prepared"]) == {"p2", "r2", "f2"}
     printed = capsys.readouterr().out
     for word in ("AirLine", "LSD", "LP10", "P2", "repeatability", "dark: LSD, prepared"):
         assert word in printed
@@ -256,7 +231,7 @@ def test_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert max(map(len, printed.splitlines())) <= 80
 
 
-def test_command_scores_predictions(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_scores_predictions(dataset, tmp_path, capsys):
     out = tmp_path / "figures.json"
     arguments = [str(dataset), "--predictions", str(dataset / "lines_cho"), "--limit", "1", "--json", str(out)]
     assert main(arguments) == 0
@@ -270,38 +245,21 @@ def test_command_scores_predictions(dataset: Path, tmp_path: Path, capsys: pytes
     assert "lines_cho" in capsys.readouterr().out
 
 
-def _break(dataset: Path, what: str) -> list[str]:
-    """Damage the data set; further arguments that go with it."""
-    if what == "no folder":
-        return ["--predictions", str(dataset / "nowhere")]
-    if what == "no annotation":
-        (dataset / "lines_denis" / "1.txt").unlink()
-    elif what == "no images":
-        for path in (dataset / "images").iterdir():
-            path.unlink()
-    elif what == "malformed":
-        (dataset / "lines_cho" / "0.txt").write_text("1 2 3\n")
-    elif what == "no picture":
-        (dataset / "images" / "0.png").write_text("not a picture")
-    elif what == "no part":
-        (dataset / "images").rename(dataset / "pictures")
-    return []
-
-
 @pytest.mark.parametrize(
-    ("what", "message"),
+    ("part", "content", "message"),
     [
-        ("no folder", "no line file"),
-        ("no annotation", "no line file"),
-        ("no images", "no images in"),
-        ("malformed", "is malformed"),
-        ("no picture", "cannot be read as an image"),
-        ("no part", "no folder"),
+        ("lines_denis/1.txt", None, "no line file"),
+        ("lines_cho/0.txt", "1 2 3\n", "is malformed"),
+        ("images/0.png", "not a picture", "cannot be read as an image"),
+        ("images", None, "no folder"),
     ],
 )
-def test_bad_data_is_one_sentence(dataset: Path, capsys: pytest.CaptureFixture[str], what: str, message: str) -> None:
-    more = _break(dataset, what)
-    assert main([str(dataset), *more]) == 2
+def test_bad_data_is_one_sentence(dataset, capsys, part, content, message):
+    if content is None:
+        (dataset / part).rename(dataset / "elsewhere")
+    else:
+        (dataset / part).write_text(content)
+    assert main([str(dataset)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert message in error
@@ -315,19 +273,18 @@ def test_bad_data_is_one_sentence(dataset: Path, capsys: pytest.CaptureFixture[s
         (["--preset", "best"], "no preset"),
         (["--weights", "nothing.safetensors"], "no weights file"),
         (["--json", "nowhere/figures.json"], "no folder"),
+        (["--predictions", "nowhere"], "no line file"),
+        (["--ablate", "--preset", "fast"], "--ablate does not go with --preset"),
+        (["--predictions", "x", "--weights", "y"], "--predictions does not go with --weights"),
+        (["--runtime", "abacus"], "invalid choice"),
     ],
 )
-def test_bad_arguments_are_one_sentence(
-    dataset: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
-    assert main([str(dataset), *arguments]) == 2
+def test_bad_arguments_are_one_sentence(dataset, capsys, arguments, message):
+    try:
+        code = main([str(dataset), *arguments])
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert message in error
-
-
-def test_usage_errors_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.startswith("error: ")

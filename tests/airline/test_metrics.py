@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airline.evaluation.metrics import PixelScores, coverage, distance_to, draw, mean, score
+from airline.evaluation.benchmark import measure_files
+from airline.evaluation.dataset import load_dataset
+from airline.evaluation.metrics import PixelScores, coverage, distance_to, draw, mean, pixel_scores
 
 SHAPE = (40, 60)
-NONE = np.zeros((0, 2, 2))
-ROW = np.array([[[10, 10], [29, 10]]], float)  # 20 px
+ROW = (10, 10, 29, 10)  # 20 px
 YORK_URBAN = Path(__file__).parents[3] / "shared" / "data" / "yorkurban_val"
 
 # LP0, 1, 2, 3, 5, 10, P2, R2, F2 of the published outputs as this project first measured them
@@ -24,99 +25,64 @@ PUBLISHED = {
 }
 
 
-def test_the_annotation_itself_is_perfect() -> None:
-    scores = score(ROW, ROW, ROW, SHAPE)
-    assert scores == PixelScores((100.0,) * 6, 100.0, 100.0, 100.0, 100.0)
-    assert scores.f1 == scores.f2 == 100.0
-
-
-def test_half_a_line() -> None:
-    half = np.array([[[10, 10], [19, 10]]], float)
-    scores = score(half, ROW, ROW, SHAPE)
-    assert scores.lp == pytest.approx((50, 55, 60, 65, 75, 100))
-    assert (scores.p1, scores.r1, scores.p2, scores.r2) == pytest.approx((100, 55, 100, 60))
-    assert scores.f2 == pytest.approx(75)
-    assert scores.f1 == pytest.approx(200 * 55 / 155)
-
-
-def test_twice_the_line() -> None:
-    twice = np.array([[[10, 10], [49, 10]]], float)
-    scores = score(twice, ROW, ROW, SHAPE)
-    assert scores.lp == (100.0,) * 6
-    assert (scores.p1, scores.p2) == pytest.approx((100 * 21 / 40, 100 * 22 / 40))
-    assert (scores.r1, scores.r2) == (100.0, 100.0)
+def lines(*rows):
+    return np.array(rows, float).reshape(-1, 2, 2)
 
 
 @pytest.mark.parametrize(
-    ("shift", "lp", "at_1", "at_2"), [(1, (0, *[100] * 5), 100, 100), (2, (0, 0, *[100] * 4), 0, 100)]
+    ("found", "annotated", "lp", "at_1", "at_2"),
+    [
+        ([ROW], [ROW], [100] * 6, (100, 100, 100), (100, 100, 100)),
+        ([(10, 10, 19, 10)], [ROW], (50, 55, 60, 65, 75, 100), (100, 55, 11000 / 155), (100, 60, 75)),  # half of it
+        ([(10, 10, 49, 10)], [ROW], [100] * 6, (52.5, 100, 10500 / 152.5), (55, 100, 11000 / 155)),  # twice as long
+        ([(10, 11, 29, 11)], [ROW], (0, *[100] * 5), (100, 100, 100), (100, 100, 100)),
+        ([(10, 12, 29, 12)], [ROW], (0, 0, *[100] * 4), (0, 0, 0), (100, 100, 100)),
+        ([(10, 10, 10, 10)], [(11, 11, 11, 11)], (0, 0, *[100] * 4), (0, 0, 0), (100, 100, 100)),  # a disk
+        ([], [ROW], [0] * 6, (100, 0, 0), (100, 0, 0)),
+        ([ROW], [], [100] * 6, (0, 100, 0), (0, 100, 0)),
+        ([], [], [100] * 6, (100, 100, 100), (100, 100, 100)),
+    ],
 )
-def test_shifted_lines(shift: int, lp: tuple[float, ...], at_1: float, at_2: float) -> None:
-    scores = score(ROW + (0, shift), ROW, ROW, SHAPE)
-    assert scores.lp == lp
-    assert (scores.p1, scores.r1, scores.f1) == (at_1,) * 3
-    assert (scores.p2, scores.r2, scores.f2) == (at_2,) * 3
+def test_scores(found, annotated, lp, at_1, at_2):
+    scores = pixel_scores(lines(*found), lines(*annotated), lines(*annotated), SHAPE)
+    assert scores.lp == pytest.approx(lp)
+    assert (scores.p1, scores.r1, scores.f1) == pytest.approx(at_1)
+    assert (scores.p2, scores.r2, scores.f2) == pytest.approx(at_2)
 
 
-def test_lp_reads_the_sparse_annotation_and_the_rest_the_dense_one() -> None:
-    other = ROW + (0, 15)
-    scores = score(ROW, ROW, np.concatenate([ROW, other]), SHAPE)
+def test_lp_reads_the_sparse_annotation_and_the_rest_the_dense_one():
+    scores = pixel_scores(lines(ROW), lines(ROW), lines(ROW, (10, 25, 29, 25)), SHAPE)
     assert scores.lp == (100.0,) * 6
     assert (scores.p2, scores.r2) == (100.0, 50.0)
 
 
-def test_the_neighbourhood_is_a_disk() -> None:
-    point, diagonal = np.full((1, 2, 2), 10.0), np.full((1, 2, 2), 11.0)
-    assert score(point, diagonal, diagonal, SHAPE).lp == (0, 0, 100, 100, 100, 100)
-
-
-def test_nothing_detected() -> None:
-    scores = score(NONE, ROW, ROW, SHAPE)
-    assert scores.lp == (0.0,) * 6
-    assert (scores.p2, scores.r2, scores.f2, scores.f1) == (100.0, 0.0, 0.0, 0.0)
-
-
-def test_nothing_annotated() -> None:
-    scores = score(ROW, NONE, NONE, SHAPE)
-    assert scores.lp == (100.0,) * 6
-    assert (scores.p2, scores.r2, scores.f2) == (0.0, 100.0, 0.0)
-    assert score(NONE, NONE, NONE, SHAPE).f2 == 100.0
-
-
-def test_f_score_of_a_mean_is_of_the_mean_precision_and_recall() -> None:
+def test_f_score_of_a_mean_is_of_the_mean_precision_and_recall():
     both = mean([PixelScores((0.0,) * 6, 0, 0, 100, 0), PixelScores((50.0,) * 6, 0, 0, 50, 100)])
     assert (both.p2, both.r2, both.f2, both.f1) == (75.0, 50.0, 60.0, 0.0)
     assert both.lp == (25.0,) * 6
 
 
-def test_end_points_are_drawn_at_the_nearest_pixels() -> None:
-    drawn = np.argwhere(draw(np.array([[[2.4, 3.6], [5.6, 3.6]]]), (8, 10)))
+def test_lines_are_drawn_between_the_nearest_pixels_and_cut_at_the_border():
+    drawn = np.argwhere(draw(lines((2.4, 3.6, 5.6, 3.6)), (8, 10)))
     assert drawn.tolist() == [[4, 2], [4, 3], [4, 4], [4, 5], [4, 6]]
-    assert np.argwhere(draw(np.array([[[0.5, 1.5], [0.5, 1.5]]]), (8, 10))).tolist() == [[2, 0]]
+    assert np.argwhere(draw(lines((0.5, 1.5, 0.5, 1.5)), (8, 10))).tolist() == [[2, 0]]
+    assert draw(lines((-1000, 3, 1000, 3)), (8, 10)).sum() == 10
+    assert not draw(lines((100, 100, 200, 300)), (8, 10)).any()
 
 
-def test_lines_are_cut_at_the_border() -> None:
-    assert draw(np.array([[[-1000, 3], [1000, 3]]], float), (8, 10)).sum() == 10
-    assert not draw(np.array([[[100, 100], [200, 300]]], float), (8, 10)).any()
-
-
-def test_distance_and_coverage() -> None:
+def test_distance_and_coverage():
     mask = np.zeros((5, 7), bool)
     assert np.isinf(distance_to(mask)).all()
     mask[1, 2] = True
     distance = distance_to(mask)
     y, x = np.mgrid[:5, :7]
     np.testing.assert_allclose(distance, np.hypot(y - 1, x - 2), atol=1e-5)
-    assert coverage(np.ones_like(mask), distance, 1) == pytest.approx(100 * 5 / 35)
     assert coverage(np.ones_like(mask), distance, 1.5) == pytest.approx(100 * 9 / 35)
 
 
+@pytest.mark.skipif(not YORK_URBAN.is_dir(), reason="YorkUrban's images and published detections are not here")
 @pytest.mark.parametrize("detector", PUBLISHED)
-def test_published_outputs_give_the_known_table(detector: str) -> None:
-    if not YORK_URBAN.is_dir():
-        pytest.skip("the YorkUrban images and published detections are not part of the repository")
-    from airline.evaluation.benchmark import measure_files
-    from airline.evaluation.dataset import load_dataset
-
+def test_published_outputs_give_the_known_table(detector):
     figures = measure_files(load_dataset(YORK_URBAN), YORK_URBAN / "published_predictions" / detector)
     found = [*figures["lp"].values(), figures["p2"], figures["r2"], figures["f2"]]
     assert found == pytest.approx(PUBLISHED[detector], abs=0.2)

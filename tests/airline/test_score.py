@@ -11,7 +11,7 @@ from airline.config import DetectorConfig, FitConfig
 from airline.evaluation.light import darken
 from airline.evaluation.metrics import distance_to, draw
 from airline.stages.score_parts import SHORT, line_scores
-from airline.training.rendered import HELD_OUT_SEED, render_sample
+from airline.training.dataset import HELD_OUT_SEED, render_sample
 
 
 def scores_of(support: np.ndarray, *lines: tuple[float, float, float, float]) -> list[float]:
@@ -38,7 +38,7 @@ def test_scores_rank_true_lines_first(light):
         sample = render_sample(number, HELD_OUT_SEED)
         gray = darken(sample.gray, number) if light == "dark" else sample.gray
         lines = detector(gray)
-        distance = distance_to(draw(sample.labels.pieces, gray.shape))
+        distance = distance_to(draw(sample.pieces, gray.shape))
         at = (lines.segments[:, :1] + np.diff(lines.segments, axis=1) * np.linspace(0, 1, 15)[:, None]).astype(
             np.float32
         )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from airline import LineSet
-from airline.scenes.paths import rotation
+from airline.scenes.camera import rotation
 from frontend import Frame
 from frontend.evaluation.baselines import FlowTracker, NearestTracker
 from frontend.evaluation.clip import Truth

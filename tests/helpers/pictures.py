@@ -22,4 +22,4 @@ def picture(seed: int = 0, width: int = 160, height: int = 160) -> np.ndarray:
 def labelled(seed: int, width: int = 160, height: int = 160) -> Sample:
     """A picture with its pseudo-labels."""
     gray = picture(seed, width, height)
-    return Sample(gray, consensus(gray, 2, np.random.default_rng(seed)))
+    return Sample(gray, *consensus(gray, 2, np.random.default_rng(seed)))

@@ -1,9 +1,13 @@
-"""What a real camera does to the clean linear image: blur, exposure, vignetting, gamma and noise."""
+"""The simulated camera: how it moves, and what it does to the clean linear image.
+
+Motion is a closed formula of time, so that any frame's pose is known without the frames before it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf
 
 import cv2
 import numpy as np
@@ -11,13 +15,18 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.kernels.compiled import njit
+from airline.scenes.builder import Walk
 
 _CURVE = 4096
+_LIMITS = {
+    "exposure": (1e-6, inf), "exposure_jitter": (0, inf), "noise_sigma": (0, inf), "motion_blur": (0, 1),
+    "lens_blur": (0, inf), "vignetting": (0, 1), "gamma": (1e-6, inf),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CameraEffects:
-    """Settings of the simulated camera.
+    """Imperfections of the simulated camera.
 
     Attributes:
         exposure: factor on the light that falls in.
@@ -38,18 +47,70 @@ class CameraEffects:
     gamma: float = 2.2
 
     def __post_init__(self) -> None:
-        for name in ("exposure", "gamma"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"camera effect '{name}' must be positive, not {getattr(self, name)}")
-        for name in ("exposure_jitter", "noise_sigma", "lens_blur"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"camera effect '{name}' must not be negative, but is {getattr(self, name)}")
-        for name in ("motion_blur", "vignetting"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"camera effect '{name}' must lie between 0 and 1, not {getattr(self, name)}")
+        for name, (low, high) in _LIMITS.items():
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"camera effect '{name}' must be {low:g} to {high:g}, not {getattr(self, name)}")
 
 
 CLEAN = CameraEffects(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.2)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a camera is moved.
+
+    Attributes:
+        speed: peak walking speed, m/s.
+        turn: peak yaw rate, rad/s.
+        shake: amplitude of hand shake, rad.
+        bob: amplitude of the head's bobbing while walking, m.
+    """
+
+    speed: float
+    turn: float
+    shake: float
+    bob: float
+
+
+MOTIONS = {
+    "static": Motion(0.0, 0.0, 0.0, 0.0),
+    "slow": Motion(0.25, 0.08, 0.0, 0.0),
+    "handheld": Motion(0.7, 0.28, 0.006, 0.015),
+    "fast": Motion(0.8, 1.7, 0.010, 0.015),
+}
+
+
+def pose_at(walk: Walk, motion: Motion, seed: int, seconds: float) -> NDArray[np.float64]:
+    """(4, 4) float64 world_from_camera at a time; camera x right, y down, z forward.
+
+    The camera swings through its free space and looks around in sines of seeded phase, with speeds bounded by `motion`.
+    """
+    rng = np.random.default_rng([seed, 7])
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    position = np.array(walk.centre)
+    for axis, share in enumerate((1.0, 0.8, 0.15)):
+        reach = walk.reach[axis]
+        if reach > 0:
+            position[axis] += reach * np.sin(phase[axis] + share * motion.speed / reach * seconds)
+    yaw = walk.yaw + walk.sweep * np.sin(phase[3] + motion.turn / walk.sweep * seconds)
+    pitch, roll = rng.uniform(-0.06, 0.03), rng.uniform(-0.015, 0.015)
+    for frequency in (0.7, 1.7, 3.1, 5.3):
+        swing = motion.shake / frequency * np.sin(2 * np.pi * frequency * seconds + rng.uniform(0, 2 * np.pi, 3))
+        yaw, pitch, roll = yaw + swing[0], pitch + swing[1], roll + swing[2]
+    position[2] += motion.bob * np.sin(2 * np.pi * 1.8 * seconds + rng.uniform(0, 2 * np.pi))
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(yaw, pitch, roll)
+    pose[:3, 3] = position
+    return pose
+
+
+def rotation(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """(3, 3) float64 world_from_camera: heading `yaw`, tilted up by `pitch`, turned clockwise by `roll`, rad."""
+    forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    down = np.cross(forward, right)
+    c, s = np.cos(roll), np.sin(roll)
+    return np.stack([c * right + s * down, c * down - s * right, forward], axis=1)
 
 
 def blur_rotation(
