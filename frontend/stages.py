@@ -12,24 +12,27 @@ WAITING_LIVE = 1  # where what is read is wanted soon
 
 
 def pipelined(
-    items: Iterator[Any], *stages: Callable[[Any], Any], read_ahead: bool = True
+    items: Iterator[Any],
+    *stages: Callable[[Any], Any],
+    read_ahead: bool = True,
+    stop: Callable[[], None] = lambda: None,
 ) -> Generator[Any, None, None]:
     """The items after all stages, in order: `stages[-1](... stages[0](item))`.
 
-    Every stage has one thread, so none runs twice at once; what they do in native code without Python's lock overlaps.
-    At most `WAITING` items more than there are threads are under way (without `read_ahead`, `WAITING_LIVE`), with the
-    one that the consumer has: while it is slow, the items are not read. What a stage answers must be its own: the stage
-    takes the next item while others still work on the answer.
+    Every stage has one thread, so none runs twice at once; what they do without the GIL overlaps. At most `WAITING`
+    items more than there are threads are under way (without `read_ahead`, `WAITING_LIVE`), with the one that the
+    consumer has: while it is slow, no items are read. What a stage answers must be its own: the stage takes the next
+    item while others still work on the answer.
 
-    An error of the items or of a stage is raised where its result would be, behind all earlier results, as the same
-    exception with the traceback of where it happened; that stage and those behind it take nothing more. At the end,
-    after an error and when the generator is closed, what waits is dropped, what runs is waited for, and all threads
-    end. Reading an item must therefore return some time.
+    An error of the items or of a stage is raised where its result would be, behind all earlier results, with the
+    traceback of where it happened; that stage and those behind it take nothing more. At the end, after an error and
+    when the generator is closed, what waits is dropped, what runs is waited for, and all threads end.
 
     Args:
         items: read in a thread of their own.
         stages: at least one.
         read_ahead: False to read an item only when the first stage is ready for it, in that stage's thread.
+        stop: called at the end, so that reading does not wait for another item.
     """
 
     def read() -> Any:
@@ -51,6 +54,7 @@ def pipelined(
     except _End:
         return
     finally:
+        stop()
         for thread in threads:
             thread.stop()
         for thread in threads:
@@ -92,8 +96,7 @@ class _Stage:
 
 def _submit(stages: list[_Stage]) -> Future[Any]:
     """Send one item through all stages; the future of the last one's answer."""
-    first, *rest = stages
-    future = first.submit()
-    for stage in rest:
-        future = stage.submit(future)
-    return future
+    futures: list[Future[Any]] = []
+    for stage in stages:
+        futures = [stage.submit(*futures)]
+    return futures[0]
