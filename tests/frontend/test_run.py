@@ -24,7 +24,7 @@ from mcap.writer import Writer
 
 from airline import __version__
 from frontend.cli.terminal import set_up_logging
-from frontend.run import has_display
+from frontend.cli.wiring import has_display
 from tests.helpers.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
 from tests.helpers.ports import free_port
 from tests.helpers.viewer import RERUN, saving_viewer

@@ -14,11 +14,11 @@ from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.selection import SeekableSource, select_frames
+from frontend.sources.wrapped import Peeked, select_frames
 
 
 @dataclass
-class Listed:
+class Listed(Source):
     """Frames of a list; `read` counts how many were taken from it."""
 
     frames: list[Frame]
@@ -27,6 +27,7 @@ class Listed:
     closed: bool = False
     name: str = "listed"
     skipped: int = 2
+    start_s: float = 0.0
 
     @property
     def frame_count(self) -> int | None:
@@ -42,8 +43,6 @@ class Listed:
 
 
 class Seekable(Listed):
-    start_s = 0.0
-
     @property
     def first_stamp_ns(self) -> int:
         return self.frames[0].stamp_ns
@@ -91,7 +90,6 @@ def test_equals_list_slicing(
     expected = between[::stride][:most]
 
     selection = select_frames(kind(frames, endless), start_s=start_s, end_s=end_s, stride=stride, max_frames=most)
-    assert isinstance(selection, Source)
     bound = selection.frame_count
     assert list(selection) == expected
     assert bound is None if endless and most is None else bound is not None and bound >= len(expected)
@@ -105,14 +103,23 @@ def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
     assert selection.frame_count == 3
     assert [frame.index for frame in selection] == [0, 30, 60]
     assert source.read == 21
-    assert (selection.name, selection.skipped) == ("listed", 2)
+    assert (selection.name, selection.skipped, selection.dropped, selection.live) == ("listed", 2, 0, False)
     selection.close()
     assert source.closed
 
 
+def test_the_first_frame_can_be_looked_at() -> None:
+    frames = frames_at([1, 2, 3])
+    source = Listed(frames)
+    peeked = Peeked(source)
+    assert (peeked.first, source.read) == (frames[0], 1)
+    assert list(peeked) == frames
+    assert Peeked(Listed([])).first is None
+    assert list(Peeked(Listed([]))) == []
+
+
 def test_a_seekable_source_is_not_read_from_the_start() -> None:
     source = Seekable(frames_at([second * 10**9 for second in range(100)]))
-    assert isinstance(source, SeekableSource)
     assert [frame.index for frame in select_frames(source, start_s=90, end_s=92)] == [270, 273]
     assert source.read == 3
 
@@ -158,5 +165,7 @@ def test_resize(resize: tuple[int, int | None], shape: tuple[int, int], dtype: t
     ],
 )
 def test_impossible_values(values: dict[str, object]) -> None:
+    source = Listed([])
     with pytest.raises(ConfigError):
-        select_frames(Listed([]), **values)  # type: ignore[arg-type]
+        select_frames(source, **values)  # type: ignore[arg-type]
+    assert source.closed

@@ -16,7 +16,7 @@ from airline.lines import LineSet
 from airline.trace import Trace
 from frontend.cli.summary import WINDOW, SummaryCounter
 from frontend.frame import Frame
-from frontend.protocols import FrameResult
+from frontend.protocols import FrameResult, Source
 from frontend.tracks import LineTracks
 
 IMAGE = np.zeros((8, 8), np.uint8)
@@ -73,8 +73,10 @@ def test_figures(
         hits = [sum(track[: k + 1]) for track in seen if track[k]]
         live.append(len(hits))
         lines.append(len(hits) + more_lines[k])
-        counter.add(result(hits, lines[-1], {"edges": times[k], "track": 2 * times[k]}))
-    summary = counter.summary(skipped)
+        counter.add(result(hits, lines[-1], {"edges": times[k]}), sinks_ms=2 * times[k])
+    source = Source()
+    source.skipped = skipped
+    summary = counter.summary(source)
 
     lengths = [sum(track[:frames]) for track in seen]
     confirmed = [length for length in lengths if length >= confirm_hits]
@@ -84,13 +86,13 @@ def test_figures(
     assert summary.lines_per_frame == pytest.approx(statistics.mean(lines), abs=0.00501)
     assert summary.live_tracks_per_frame == pytest.approx(statistics.mean(live), abs=0.00501)
     median = statistics.median(times[:frames])
-    assert summary.stage_ms == pytest.approx({"edges": median, "track": 2 * median}, abs=0.0005)
+    assert summary.stage_ms == pytest.approx({"edges": median, "sinks": 2 * median}, abs=0.0005)
     assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
 
 
 def test_a_run_without_frames() -> None:
-    summary = SummaryCounter(3).summary(2)
-    assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 2)
+    summary = SummaryCounter(3).summary(Source())
+    assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 0)
     assert summary.stage_ms == {}
     assert summary.table().row_count > 0
 
@@ -101,9 +103,9 @@ def test_clock_runs_from_start_to_the_latest_frame() -> None:
     counter.start()
     for _ in range(5):
         time.sleep(0.02)
-        counter.add(result([], 0, {}))
+        counter.add(result([], 0, {}), 0.0)
     time.sleep(0.5)
-    assert 9 < counter.summary(0).fps <= 50
+    assert 9 < counter.summary(Source()).fps <= 50
 
 
 def test_memory_does_not_grow_with_the_run() -> None:
@@ -111,6 +113,7 @@ def test_memory_does_not_grow_with_the_run() -> None:
     counter = SummaryCounter(3)
     rng = np.random.default_rng(0)
     times = [1000.0] * WINDOW + rng.uniform(0, 50, WINDOW).tolist()
+    one = result([], 0, {})
     for spent in times:
-        counter.add_time({"edges": spent})
-    assert counter.summary(0).stage_ms["edges"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)
+        counter.add(one, spent)
+    assert counter.summary(Source()).stage_ms["sinks"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)
