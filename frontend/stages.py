@@ -43,60 +43,39 @@ def pipelined(
 
     first, *rest = stages
     steps: list[Callable[..., Any]] = [read, *stages] if read_ahead else [lambda: first(read()), *rest]
-    threads = [_Stage(step) for step in steps]
-    most = len(threads) + (WAITING if read_ahead else WAITING_LIVE)
+    over = [False] * len(steps)
+    threads = [ThreadPoolExecutor(1, "stage") for _ in steps]
+
+    def run(step: int, *before: Future[Any]) -> Any:
+        """One step on what the step before answers; the error of that one is its own."""
+        if over[step]:
+            raise _End
+        try:
+            return steps[step](*[future.result() for future in before])
+        except BaseException:
+            over[step] = True
+            raise
+
+    most = len(steps) + (WAITING if read_ahead else WAITING_LIVE)
     under_way: deque[Future[Any]] = deque()
     try:
         while True:
             while len(under_way) < most:
-                under_way.append(_submit(threads))
+                future = threads[0].submit(run, 0)
+                for step in range(1, len(steps)):
+                    future = threads[step].submit(run, step, future)
+                under_way.append(future)
             yield under_way.popleft().result()
     except _End:
         return
     finally:
         stop()
+        over[:] = [True] * len(steps)
         for thread in threads:
-            thread.stop()
+            thread.shutdown(wait=False, cancel_futures=True)
         for thread in threads:
-            thread.join()
+            thread.shutdown()
 
 
 class _End(Exception):  # noqa: N818  not an error
     """There are no more items."""
-
-
-class _Stage:
-    """A function in a thread of its own. After its first error it is not called again."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self._pool = ThreadPoolExecutor(1, "stage")
-        self._over = False
-
-    def submit(self, *before: Future[Any]) -> Future[Any]:
-        """Call the function when it is its turn, with what the stage before answers; that one's error is its own."""
-        return self._pool.submit(self._run, *before)
-
-    def stop(self) -> None:
-        self._over = True
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def join(self) -> None:
-        self._pool.shutdown()
-
-    def _run(self, *before: Future[Any]) -> Any:
-        if self._over:
-            raise _End
-        try:
-            return self._function(*[future.result() for future in before])
-        except BaseException:
-            self._over = True
-            raise
-
-
-def _submit(stages: list[_Stage]) -> Future[Any]:
-    """Send one item through all stages; the future of the last one's answer."""
-    futures: list[Future[Any]] = []
-    for stage in stages:
-        futures = [stage.submit(*futures)]
-    return futures[0]

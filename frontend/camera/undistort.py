@@ -15,22 +15,13 @@ from frontend.sources.opencv import Image
 
 Array = NDArray[np.float64]
 
-WIDEST_DEG = 60.0
-"""How far off the axis an undistorted image reaches at most; a pinhole stretches what lies there fourfold."""
-
+WIDEST_DEG = 60.0  # off the axis, that an undistorted image reaches at most; a pinhole stretches it fourfold there
 _BORDER_POINTS = 200  # per side
 _COMPASS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
 
 
 class Undistorter:
-    """Remaps the images of one camera to those of a pinhole without distortion.
-
-    Args:
-        source: the camera that takes the images.
-
-    Raises:
-        InputError: see `undistorted_camera`.
-    """
+    """Remaps the images of one camera to those of `undistorted_camera`, with the same errors."""
 
     def __init__(self, source: CameraModel) -> None:
         self._source = source
@@ -55,9 +46,8 @@ class Undistorter:
 def undistorted_camera(camera: CameraModel) -> CameraModel:
     """The pinhole camera without distortion whose image a camera's image fills without a border.
 
-    It has the same size and the same fx / fy, and sees as much as these allow, but nothing farther off the axis than
-    `WIDEST_DEG`: the image of a fisheye that sees a half-space would be infinitely large. Its principal point is where
-    the largest such rectangle puts it.
+    It has the same size and fx / fy, and sees as much as these allow, but nothing farther off the axis than
+    `WIDEST_DEG`: the image of a fisheye that sees a half-space would be infinitely large.
 
     Raises:
         InputError: the camera's model has no inverse in the middle of its image.

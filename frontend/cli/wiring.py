@@ -33,7 +33,7 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     """
     from frontend.sources import open_source
     from frontend.sources.pace import FreshFrames, RealtimeSource
-    from frontend.sources.wrapped import select_frames, with_camera
+    from frontend.sources.wrapped import CalibratedFrames, SelectedFrames
     from logs.files import is_log
 
     chosen = config.input
@@ -55,8 +55,10 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
     else:
         source = open_source(spec, fps=chosen.fps, reconnect_s=chosen.reconnect)
-    source = select_frames(
-        with_camera(source, camera, undistort=chosen.undistort),
+    if camera is not None or chosen.undistort:
+        source = CalibratedFrames(source, camera, undistort=chosen.undistort)
+    source = SelectedFrames(
+        source,
         start_s=chosen.start,
         end_s=chosen.end,
         stride=chosen.stride,
@@ -121,20 +123,11 @@ def open_recording(
     save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
 ) -> Sink:
     """The Rerun recording, into a file, a viewer or both."""
+    from msgspec.structs import asdict
+
     from viz.rerun_sink import RerunSink
 
-    chosen = config.recording
-    return RerunSink(
-        save=save,
-        connect=viewer,
-        name=name,
-        image=chosen.image,
-        video=video,
-        blueprint=chosen.blueprint,
-        every=chosen.every,
-        descriptor_every=chosen.descriptor_every,
-        jpeg_quality=chosen.jpeg_quality,
-    )
+    return RerunSink(save=save, connect=viewer, name=name, video=video, **asdict(config.recording))
 
 
 def has_display() -> bool:

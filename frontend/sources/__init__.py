@@ -34,7 +34,7 @@ def open_source(
     from frontend.sources.folder import IMAGE_SUFFIXES, FolderSource
     from frontend.sources.live import LiveSource
     from frontend.sources.video import VideoSource
-    from frontend.sources.wrapped import select_frames
+    from frontend.sources.wrapped import SelectedFrames
 
     text = os.fspath(spec)
     exists, suffix = os.path.exists(text), Path(text).suffix.lower()  # noqa: PTH110  pathlib raises for long names
@@ -49,4 +49,4 @@ def open_source(
         source = FolderSource(text, fps)
     else:
         source = VideoSource(text)
-    return source if start_s is None and end_s is None else select_frames(source, start_s=start_s, end_s=end_s)
+    return source if start_s is None and end_s is None else SelectedFrames(source, start_s=start_s, end_s=end_s)

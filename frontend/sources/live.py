@@ -22,9 +22,7 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 5.0
 
 
 class LiveSource(Source):
-    """Frames of a camera or a stream, stamped with the host's wall clock when they arrive.
-
-    The clock is read once and then advanced by the monotonic clock, so that stamps never step back.
+    """Frames of a camera or a stream, stamped with the host's wall clock when they arrive; stamps never step back.
 
     A stream that drops, or sends nothing for five seconds, is opened again, with growing waits in between. Its frames
     go on with the next number, and the gap shows in the stamps, at which the tracker begins anew.
@@ -128,8 +126,7 @@ def _open(device: int | str) -> cv2.VideoCapture:
 
 
 def _open_camera(number: int) -> cv2.VideoCapture:
-    # OpenCV reads 100, 200, ... as the number of a driver.
-    return cv2.VideoCapture(number) if 0 <= number < 100 else cv2.VideoCapture()
+    return cv2.VideoCapture(number) if number < 100 else cv2.VideoCapture()  # which reads 100, 200, ... as drivers
 
 
 def _open_stream(url: str) -> cv2.VideoCapture:

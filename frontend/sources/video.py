@@ -32,9 +32,6 @@ class VideoSource(Source):
     `Frame.stamp_ns` counts from the first readable frame and follows the container's times; where it has none, its
     frame rate. A damaged frame is skipped and keeps its number; a cut file yields what is readable.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file is missing, no video, or has no readable frame.
     """
@@ -116,10 +113,9 @@ class VideoSource(Source):
         return Frame(index, stamp, image)
 
     def _read_near(self, start_ns: int) -> tuple[float, Image] | None:
-        """A frame at or shortly before start_ns.
+        """A frame at or shortly before start_ns, in the last resort the first.
 
-        OpenCV computes a seek's target with the mean frame rate, which misses where the rate varies or frames are
-        damaged; so step back until a frame at or before start_ns is found, in the last resort the first.
+        OpenCV seeks by the mean frame rate, which misses where the rate varies or frames are damaged.
         """
         back_ms = 0.0
         while (target_ms := start_ns / 1e6 - back_ms) > 0:
@@ -137,7 +133,7 @@ class VideoSource(Source):
     def _count_lost_tail(self) -> None:
         """Count the frames that the container states behind the last readable one.
 
-        Beyond a slack, as trimmed files count hidden frames; and only where time is missing too, as some containers
+        With a slack, for trimmed files count hidden frames, and only where time is missing too, for some containers
         state their duration times the highest frame rate.
         """
         stated = self.frame_count or 0

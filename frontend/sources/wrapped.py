@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
-from airline.errors import AirLineError, ConfigError
+from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -22,34 +23,6 @@ class WrappedSource(Source):
     def __init__(self, source: Source) -> None:
         self._source = source
 
-    @property
-    def name(self) -> str:
-        return self._source.name
-
-    @property
-    def frame_count(self) -> int | None:
-        return self._source.frame_count
-
-    @property
-    def live(self) -> bool:
-        return self._source.live
-
-    @property
-    def skipped(self) -> int:
-        return self._source.skipped
-
-    @property
-    def dropped(self) -> int:
-        return self._source.dropped
-
-    @property
-    def reconnects(self) -> int:
-        return self._source.reconnects
-
-    @property
-    def first_stamp_ns(self) -> int | None:
-        return self._source.first_stamp_ns
-
     def seek(self, start_s: float) -> None:
         self._source.seek(start_s)
 
@@ -59,6 +32,10 @@ class WrappedSource(Source):
     def close(self) -> None:
         self.stop()
         self._source.close()
+
+
+for _name in ("name", "frame_count", "live", "skipped", "dropped", "reconnects", "first_stamp_ns"):
+    setattr(WrappedSource, _name, property(attrgetter(f"_source.{_name}")))
 
 
 class Peeked(WrappedSource):
@@ -77,23 +54,20 @@ class Peeked(WrappedSource):
         return self._frames if self.first is None else chain([self.first], self._frames)
 
 
-def with_camera(source: Source, camera: CameraModel | None, *, undistort: bool = False) -> Source:
-    """A source whose frames carry a camera.
+class CalibratedFrames(WrappedSource):
+    """Frames that carry a camera.
 
     Args:
-        source: the stream; closing the result closes it.
+        source: the stream.
         camera: the camera of the frames, scaled to their size; None to keep what they carry themselves.
         undistort: remap every image to that of `undistorted_camera`, which the frame carries then.
 
     Raises:
         InputError: while iterating, when the camera is for images of another shape.
-        ConfigError: while iterating, when there is no camera to undistort with.
+        ConfigError: while iterating, when there is no camera.
     """
-    return source if camera is None and not undistort else _Calibrated(source, camera, undistort)
 
-
-class _Calibrated(WrappedSource):
-    def __init__(self, source: Source, camera: CameraModel | None, undistort: bool) -> None:
+    def __init__(self, source: Source, camera: CameraModel | None, *, undistort: bool = False) -> None:
         super().__init__(source)
         self._camera = camera
         self._undistort = undistort
@@ -121,19 +95,11 @@ class _Calibrated(WrappedSource):
             yield replace(frame, image=remap(frame.image), camera=remap.camera)
 
 
-def select_frames(
-    source: Source,
-    *,
-    start_s: float | None = None,
-    end_s: float | None = None,
-    stride: int = 1,
-    max_frames: int | None = None,
-    resize: tuple[int, int | None] | None = None,
-) -> Source:
-    """A source that yields a part of another one. Frames keep their index and stamp.
+class SelectedFrames(WrappedSource):
+    """A part of another source. Frames keep their index and stamp.
 
     Args:
-        source: the stream; closing the selection closes it, and so does an error here.
+        source: the stream; closed also where a value is impossible.
         start_s, end_s: seconds since the stream's first frame; start is included, end is not.
         stride: keep the first frame from start_s on and every stride-th after it.
         max_frames: yield at most so many frames.
@@ -142,40 +108,39 @@ def select_frames(
     Raises:
         ConfigError: a value is impossible.
     """
-    try:
-        return _Selection(source, start_s or 0.0, end_s, stride, max_frames, resize)
-    except AirLineError:
-        source.close()
-        raise
 
-
-class _Selection(WrappedSource):
     first_stamp_ns = None  # it begins where it was told to
 
     def __init__(
         self,
         source: Source,
-        start_s: float,
-        end_s: float | None,
-        stride: int,
-        max_frames: int | None,
-        resize: tuple[int, int | None] | None,
+        *,
+        start_s: float | None = None,
+        end_s: float | None = None,
+        stride: int = 1,
+        max_frames: int | None = None,
+        resize: tuple[int, int | None] | None = None,
     ) -> None:
-        if not (math.isfinite(start_s) and start_s >= 0):
-            raise ConfigError(f"start must be zero or more seconds, not {start_s}")
-        if end_s is not None and not (math.isfinite(end_s) and end_s > start_s):
-            raise ConfigError(f"end must be later than start ({start_s:g} s), not {end_s}")
-        if stride < 1:
-            raise ConfigError(f"stride must be 1 or more, not {stride}")
-        if max_frames is not None and max_frames < 1:
-            raise ConfigError(f"the number of frames must be 1 or more, not {max_frames}")
-        if resize is not None and any(size is not None and size not in _SIZES for size in resize):
-            raise ConfigError(f"a frame can be resized to between {_SIZES[0]} and {_SIZES[-1]} px, not {resize}")
         super().__init__(source)
-        self._start_ns, self._end_ns = round(start_s * 1e9), None if end_s is None else round(end_s * 1e9)
+        start, end = start_s or 0.0, math.inf if end_s is None else end_s
+        wrong = None
+        if not (math.isfinite(start) and start >= 0):
+            wrong = f"start must be zero or more seconds, not {start_s}"
+        elif not end > start or (end_s is not None and math.isinf(end)):
+            wrong = f"end must be later than start ({start:g} s), not {end_s}"
+        elif stride < 1:
+            wrong = f"stride must be 1 or more, not {stride}"
+        elif max_frames is not None and max_frames < 1:
+            wrong = f"the number of frames must be 1 or more, not {max_frames}"
+        elif resize is not None and any(size is not None and size not in _SIZES for size in resize):
+            wrong = f"a frame can be resized to between {_SIZES[0]} and {_SIZES[-1]} px, not {resize}"
+        if wrong is not None:
+            source.close()
+            raise ConfigError(wrong)
+        self._start_ns, self._end_ns = round(start * 1e9), None if end_s is None else round(end_s * 1e9)
         self._stride, self._max_frames, self._resize = stride, max_frames, resize
-        if start_s > 0:
-            source.seek(start_s)
+        if start > 0:
+            source.seek(start)
 
     @property
     def frame_count(self) -> int | None:
@@ -189,24 +154,22 @@ class _Selection(WrappedSource):
         """It begins where it was told to."""
 
     def __iter__(self) -> Iterator[Frame]:
-        yielded = 0
-        for position, frame in enumerate(self._between()):
-            if position % self._stride:
+        origin_ns = self._source.first_stamp_ns
+        position = yielded = 0
+        for frame in self._source:
+            origin_ns = frame.stamp_ns if origin_ns is None else origin_ns
+            elapsed_ns = frame.stamp_ns - origin_ns
+            if self._end_ns is not None and elapsed_ns >= self._end_ns:
+                return
+            if elapsed_ns < self._start_ns:
+                continue
+            position += 1
+            if (position - 1) % self._stride:
                 continue
             yield frame if self._resize is None else _resized(frame, *self._resize)
             yielded += 1
             if yielded == self._max_frames:  # before a live source is asked for one more
                 return
-
-    def _between(self) -> Iterator[Frame]:
-        origin = self._source.first_stamp_ns
-        for frame in self._source:
-            origin = frame.stamp_ns if origin is None else origin
-            elapsed = frame.stamp_ns - origin
-            if self._end_ns is not None and elapsed >= self._end_ns:
-                return
-            if elapsed >= self._start_ns:
-                yield frame
 
 
 def _resized(frame: Frame, width: int, height: int | None) -> Frame:

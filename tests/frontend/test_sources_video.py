@@ -270,13 +270,3 @@ def test_http_stream(videos: Path, name: str) -> None:
     assert before <= times[0] <= times[-1] <= time.time_ns() + 1_000_000
     assert all(first < second for first, second in pairwise(times))
     assert [number_in(frame.image) for frame in frames[1:]] == list(range(1, len(frames)))
-
-
-def test_real_recording() -> None:
-    path = DATA / "video" / "depthai_recording.mp4"
-    if not path.exists():
-        pytest.skip("the recording is not on this machine")
-    source = open_source(path, start_s=2.5)
-    assert source.frame_count == 103
-    assert [frame.index for frame in source] == list(range(83, 103))
-    assert len(list(VideoSource(path))) == 103
