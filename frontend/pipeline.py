@@ -175,6 +175,6 @@ def open_frontend(config: RunConfig) -> LineFrontend:
     return LineFrontend(detector, LineTracker(config.tracker))
 
 
-def network_threads(of: int | None = None) -> int:
-    """Cores for the edge network when the other stages work beside it: half of those given, or of all."""
-    return max(1, (of or cores()) // 2)
+def network_threads() -> int:
+    """Cores for the edge network when the other stages work beside it: half of all."""
+    return max(1, cores() // 2)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink, Source
+    from frontend.tracks import LineTracks
     from logs.live.foxglove import FoxgloveServer
     from logs.live.zeromq import ZmqPublisher
     from viz.viewer import WebViewer
@@ -99,6 +100,13 @@ def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = F
     from logs.sinks.open import open_track_sink
 
     return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels)
+
+
+def read_tracks(path: Path) -> Iterator[LineTracks]:
+    """Tracked lines out of a file; see `logs.read_tracks`."""
+    from logs import read_tracks
+
+    return read_tracks(path)
 
 
 def open_publisher(address: str, name: str, *, labels: bool) -> ZmqPublisher | FoxgloveServer:

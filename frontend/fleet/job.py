@@ -138,7 +138,7 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
     from airline import __version__
     from frontend.cli.summary import SummaryCounter
     from frontend.cli.wiring import open_input, open_recording, open_track_sink, video_to_log
-    from frontend.pipeline import LineFrontend, network_threads, run_pipeline
+    from frontend.pipeline import LineFrontend, run_pipeline
     from frontend.tracker import LineTracker
 
     config = recipe.config
@@ -152,7 +152,7 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
             else:
                 yield open_track_sink(f"{kind}:{path}")
 
-    detector = _detector(config.detector, config.runtime, network_threads(recipe.cores))
+    detector = _detector(config.detector, config.runtime, max(1, recipe.cores // 2))
     frontend = LineFrontend(detector, LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
     started = time.perf_counter()

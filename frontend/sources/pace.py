@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import takewhile
 
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -22,14 +23,12 @@ _WAITING = 2  # frames; one more would only be older
 class RealtimeSource(WrappedSource):
     """A recording that gives out each frame when it is due: as long after the first one as their stamps say.
 
-    Its frames come whether or not somebody takes them, as those of a camera do: `FreshFrames` drops the oldest when the
-    consumer is slower. Who iterates without it misses no frame and gets the late ones at once. The clock starts when
-    the second frame is asked for, so that preparing with the first one takes nothing from the clip.
+    It is live like a camera: `FreshFrames` drops the oldest frames when the consumer is slower; without that the late
+    ones come at once. The clock starts when the second frame is asked for: preparing with the first one costs nothing.
 
     Args:
-        source: the recording; closing this closes it.
-        ahead: read all of it before the first frame, for a source that is slower than its own stamps. All frames are
-            in memory then.
+        source: the recording.
+        ahead: read all of it into memory before the first frame, for a source that is slower than its own stamps.
     """
 
     live = True
@@ -40,7 +39,9 @@ class RealtimeSource(WrappedSource):
         self._stopped = threading.Event()
 
     def __iter__(self) -> Iterator[Frame]:
-        frames = iter(self._read() if self._ahead else self._source)
+        frames = iter(self._source)
+        if self._ahead:
+            frames = iter(list(takewhile(lambda frame: not self._stopped.is_set(), frames)))
         first = next(frames, None)
         if first is None:
             return
@@ -55,28 +56,16 @@ class RealtimeSource(WrappedSource):
     def stop(self) -> None:
         self._stopped.set()
 
-    def _read(self) -> list[Frame]:
-        """All frames, or those until it is stopped."""
-        frames = []
-        for frame in self._source:
-            frames.append(frame)
-            if self._stopped.is_set():
-                break
-        return frames
-
 
 class FreshFrames(WrappedSource):
     """A live source that never makes its device wait: a thread reads, and the oldest of the waiting frames are dropped.
 
     Frames keep their index, so that gaps show. Until the second frame is asked for, a consumer prepares with the first:
-    a recording waits for it, and what a camera sends meanwhile is not counted as dropped.
+    a recording waits for it, and what a camera sends meanwhile is not counted as `dropped`.
 
     Args:
-        source: the live source; closing this closes it.
+        source: the live source.
         max_latency_s: a frame that has waited longer, in seconds, is dropped.
-
-    Attributes:
-        dropped: number of frames so far that were dropped.
     """
 
     dropped = 0
