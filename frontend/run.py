@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
     from frontend.cli.summary import Summary
     from frontend.protocols import Sink, Source
-    from viz.viewer import WebViewer
 
 log = logging.getLogger("frontend.run")
 
@@ -85,7 +84,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             code, summary = process(source, config, sinks())
         report(options, summary, save, track_files)
         if server is not None and code == 0:
-            wait_for_interrupt(server)
+            wiring.wait_for_interrupt(server)
     return code
 
 
@@ -152,16 +151,6 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
             raise InputError(
                 f"cannot write --summary {options.summary} ({error.strerror}): choose another file"
             ) from None
-
-
-def wait_for_interrupt(viewer: WebViewer) -> None:
-    """Keep the web viewer up until Ctrl-C, or until it ends by itself."""
-    try:
-        print(f"serving at {viewer.url} until Ctrl-C", flush=True)
-        viewer.process.wait()
-    except KeyboardInterrupt:
-        return
-    log.warning("the web viewer has ended")
 
 
 if __name__ == "__main__":

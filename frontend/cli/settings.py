@@ -135,10 +135,9 @@ def dump(config: RunConfig) -> str:
 
 
 def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
+    if not math.isfinite(float(text)):
         raise ConfigError(f"settings must be finite numbers, not {text}")
-    return value
+    return float(text)
 
 
 def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

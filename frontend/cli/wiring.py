@@ -179,3 +179,13 @@ def web_viewer() -> Iterator[WebViewer | None]:
         yield viewer
     finally:
         viewer.close()
+
+
+def wait_for_interrupt(viewer: WebViewer) -> None:
+    """Keep the web viewer up until Ctrl-C, or until it ends by itself."""
+    try:
+        print(f"serving at {viewer.url} until Ctrl-C", flush=True)
+        viewer.process.wait()
+        log.warning("the web viewer has ended")
+    except KeyboardInterrupt:
+        pass

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -62,6 +63,6 @@ def test_what_the_process_beside_compiles_is_what_is_needed(tmp_path: Path) -> N
 
 def test_where_no_process_starts_everything_is_compiled_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    monkeypatch.setattr(warm_up._votes.stats, "cache_path", str(tmp_path), raising=False)
+    monkeypatch.setattr(warm_up, "_votes", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
     warm_up.compile_ahead()
     assert warm_up._helper is None
