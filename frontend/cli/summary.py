@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from frontend.protocols import FrameResult, Source
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WINDOW = 10_000  # frames over which medians are taken
-TOGETHER = 100  # frames whose tracks are counted at once
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,6 @@ class SummaryCounter:
         self._frames = self._lines = self._live = 0
         self._stages: dict[str, deque[float]] = {}
         self._latencies: deque[float] = deque(maxlen=WINDOW)
-        self._hits: list[NDArray[np.int32]] = []
         self._lengths: Counter[int] = Counter()
 
     def start(self) -> None:
@@ -103,21 +100,13 @@ class SummaryCounter:
         self._latencies.append(result.latency_ms)
         for stage, spent in {**result.stage_ms, "sinks": sinks_ms}.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
-        self._hits.append(result.tracks.hits)
-        if len(self._hits) >= TOGETHER:
-            self._count_lengths()
-
-    def _count_lengths(self) -> None:
-        """Every observation moves its track from length h - 1 to length h, so no track needs to be remembered."""
-        if self._hits:
-            for hits, count in zip(*np.unique_counts(np.concatenate(self._hits)), strict=True):
-                self._lengths[int(hits)] += int(count)
-                self._lengths[int(hits) - 1] -= int(count)
-            self._hits.clear()
+        # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
+        for hits, count in Counter(result.tracks.hits.tolist()).items():
+            self._lengths[hits] += count
+            self._lengths[hits - 1] -= count
 
     def summary(self, source: Source) -> Summary:
         """The figures so far, with what the source counted."""
-        self._count_lengths()
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}

@@ -57,7 +57,8 @@ class FolderSource(Source):
 
     def __init__(self, path: str | os.PathLike[str], fps: float = 30.0) -> None:
         self._rows = list_images(path, fps)
-        self.name = _name(Path(path), self._rows[0].path)
+        folder = Path(path) if os.path.isdir(path) else self._rows[0].path.parent  # noqa: PTH112
+        self.name = Path(path).stem if os.path.isfile(path) else folder.resolve().name or "images"  # noqa: PTH113
         self.frame_count = len(self._rows)
         self.first_stamp_ns = self._rows[0].stamp_ns
         self._skips = Skips(self.name)
@@ -85,12 +86,6 @@ class FolderSource(Source):
             self._skips.report(log)
         if self._skips.count and not found:
             raise InputError(f"not one image of '{self.name}' can be read; the first is '{self._skips.first}'")
-
-
-def _name(path: Path, first_image: Path) -> str:
-    if path.is_file():
-        return path.stem
-    return (path if path.is_dir() else first_image.parent).resolve().name or "images"
 
 
 def _read(path: Path) -> Image | None:
@@ -136,10 +131,7 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> list[ImageRow]:
 
 
 def _euroc(root: Path) -> list[ImageRow]:
-    cameras = [root / "mav0" / "cam0", root / "cam0", root]
-    if root.name == "data":
-        cameras.append(root.parent)
-    for camera in cameras:
+    for camera in (root / "mav0" / "cam0", root / "cam0", root, *([root.parent] if root.name == "data" else [])):
         table, images = camera / "data.csv", camera / "data"
         if table.is_file():
             return _listed(table, ",", images, 1)
@@ -162,9 +154,7 @@ def _kitti(root: Path) -> list[ImageRow]:
         if images and table.is_file():
             stamps = [_nanoseconds(line, table, 10**9) for line in _lines(table)]
             if len(stamps) != len(images):
-                raise InputError(
-                    f"'{table}' has {len(stamps)} times for {len(images)} images: correct it or move it away"
-                )
+                raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
             return [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]
     return []
 

@@ -5,49 +5,30 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from types import MappingProxyType
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airline.lines import LineSet
-from airline.trace import Trace
 from frontend.cli.summary import WINDOW, SummaryCounter
-from frontend.frame import Frame
-from frontend.protocols import FrameResult, Source
-from frontend.tracks import LineTracks
-
-IMAGE = np.zeros((8, 8), np.uint8)
-EDGES = np.zeros((8, 8), np.float32)
+from frontend.protocols import Source
 
 
-def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> FrameResult:
-    """What one frame would come to: as many tracks as hits, and some lines."""
+class Tracks:
+    def __init__(self, hits: list[int]) -> None:
+        self.hits = np.array(hits, np.int32)
 
-    def rows(count: int, *shape: int, kind: type = np.float32) -> np.ndarray:
-        return np.zeros((count, *shape), kind)
+    def __len__(self) -> int:
+        return len(self.hits)
 
-    detected = LineSet(rows(lines, 2, 2), rows(lines), rows(lines, 6))
-    trace = Trace(EDGES, rows(0, 2, kind=np.int32), rows(0, 2), rows(0, 6), rows(0, kind=np.int32), detected, {})
-    count = len(hits)
-    tracks = LineTracks(
-        frame_index=0,
-        stamp_ns=0,
-        ids=np.arange(count),
-        segments_px=rows(count, 2, 2),
-        observed_px=rows(count, 2, 2),
-        covariances=rows(count, 2, 2),
-        scores=rows(count),
-        descriptors=rows(count, 6),
-        states=rows(count, kind=np.uint8),
-        ages=rows(count, kind=np.int32),
-        hits=np.array(hits, np.int32),
-        line_indices=rows(count, kind=np.int32),
-        fragment_of=rows(count, kind=np.int64),
-    )
-    return FrameResult(Frame(0, 0, IMAGE), trace, tracks, MappingProxyType(stage_ms))
+
+def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> Any:
+    """What the counter looks at in one frame's result: as many tracks as hits, and some lines."""
+    trace = SimpleNamespace(lines=range(lines))
+    return SimpleNamespace(trace=trace, tracks=Tracks(hits), stage_ms=stage_ms, latency_ms=1.0)
 
 
 @given(
