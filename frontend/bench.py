@@ -25,6 +25,7 @@ from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError, InputError
 from frontend.cli.terminal import progress
 from frontend.frame import Frame
+from frontend.protocols import Source
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -51,8 +52,8 @@ RUNS: dict[str, tuple[SinkKind, bool]] = {
 
 
 @dataclass(frozen=True)
-class ClipSource:
-    """A `Source` that decodes a short clip, forth and back until there are `frame_count` frames.
+class ClipSource(Source):
+    """A source that decodes a short clip, forth and back until there are `frame_count` frames.
 
     Attributes:
         files: the clip's frames as JPEG files, each with one px size for all.
@@ -62,7 +63,6 @@ class ClipSource:
     files: Sequence[bytes]
     frame_count: int
     name: str = "bench"
-    skipped: int = 0
 
     def __iter__(self) -> Iterator[Frame]:
         from frontend.sources.opencv import decode_image
@@ -73,9 +73,6 @@ class ClipSource:
             image = decode_image(self.files[min(place, period - place)])
             assert image is not None
             yield Frame(index, index * PERIOD_NS, image)
-
-    def close(self) -> None:
-        """Nothing stays open."""
 
 
 def build_parser() -> Parser:
@@ -181,9 +178,8 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
     import msgspec
     import torch  # noqa: F401  what the memory is counted from
 
-    from frontend.cli.wiring import open_recording
+    from frontend.cli.wiring import open_recording, open_track_sink
     from frontend.run import process
-    from logs.sinks.open import open_track_sink
 
     config = msgspec.structs.replace(config, serial=serial)
     with tempfile.TemporaryDirectory() as folder:
@@ -195,7 +191,7 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
                 yield open_track_sink(f"{folder}/run.mcap")
 
         before = _memory_mb("VmRSS")
-        _, summary = process(clip, config, open_sinks)
+        _, summary = process(clip, config, open_sinks())
         return {**summary.to_dict(), "peak_mb": round(_memory_mb("VmHWM") - before, 1)}
 
 

@@ -149,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
             yield watch
             yield turns
 
-        code, summary = process(clip, config, open_sinks)
+        code, summary = process(clip, config, open_sinks())
     if code not in (0, 130):
         return code
     figures = judge(watch, turns)

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from airline.errors import InputError
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.frame import Frame
-from frontend.sources.layouts import list_images
+from frontend.sources.folder import list_images
 
 MIN_FRAMES = 5
 MAX_ERROR = 2.0  # px

@@ -137,12 +137,9 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
     """Write all outputs and the summary into the folder; returns the summary."""
     from airline import __version__
     from frontend.cli.summary import SummaryCounter
-    from frontend.cli.wiring import open_input, open_recording
-    from frontend.cores import network_threads
-    from frontend.pipeline import LineFrontend
-    from frontend.run import check_frames, push, video_to_log
+    from frontend.cli.wiring import open_input, open_recording, open_track_sink, video_to_log
+    from frontend.pipeline import LineFrontend, run_pipeline
     from frontend.tracker import LineTracker
-    from logs.sinks.open import open_track_sink
 
     config = recipe.config
     video = video_to_log(job.input, config) if "rrd" in recipe.write else None
@@ -155,16 +152,14 @@ def _run(job: Job, recipe: Recipe, folder: Path, warnings: list[str]) -> dict[st
             else:
                 yield open_track_sink(f"{kind}:{path}")
 
-    detector = _detector(config.detector, config.runtime, network_threads(recipe.cores))
+    detector = _detector(config.detector, config.runtime, max(1, recipe.cores // 2))
     frontend = LineFrontend(detector, LineTracker(config.tracker))
     counter = SummaryCounter(config.tracker.confirm_hits)
     started = time.perf_counter()
     source = open_input(job.input, config)
-    push(source, frontend, open_sinks, counter, serial=config.serial)
-    figures = counter.summary(source.skipped)
-    check_frames(source, figures)
+    run_pipeline(source, frontend, open_sinks(), counter, serial=config.serial)
     summary = {
-        **figures.to_dict(),
+        **counter.summary(source).to_dict(),
         "seconds": round(time.perf_counter() - started, 3),
         "warnings": warnings,
         "version": __version__,
