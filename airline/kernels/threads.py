@@ -124,7 +124,10 @@ class _Helpers:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """How many cores this process may use: AIRLINE_CORES of the environment, or those that the system leaves it."""
+    given = os.environ.get("AIRLINE_CORES", "")
+    if given.isdecimal() and int(given):
+        return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -4,41 +4,28 @@ from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from airline.errors import InputError
-from frontend.cli.settings import RunConfig
-from frontend.fleet.inputs import fingerprint
-from frontend.fleet.job import SUMMARY, UNFINISHED, Job, Recipe, Row, row_of
-from frontend.fleet.names import unique_names
+from airline.errors import ConfigError, InputError
+from frontend.batch.job import OUTPUTS, SUMMARY, UNFINISHED, Job, JobSettings, Row, row_of
+from frontend.batch.recordings import fingerprint, unique_names
+from frontend.batch.report import REPORT
+from frontend.cli.settings import RecordingConfig, RunConfig
 
-REPORT = "report.parquet"
-
-
-@dataclass(frozen=True)
-class Plan:
-    """All recordings, in order.
-
-    Attributes:
-        rows: one per recording, "skipped" or "pending".
-        jobs: those to be run.
-        outdated: how many of them have results of another state of the input, or of other settings.
-    """
-
-    rows: list[Row]
-    jobs: list[Job]
-    outdated: int
+log = logging.getLogger(__name__)
 
 
-def make_plan(paths: Sequence[Path], out: Path, recipe: Recipe, *, overwrite: bool) -> Plan:
+def make_plan(
+    paths: Sequence[Path], out: Path, settings: JobSettings, *, overwrite: bool
+) -> tuple[dict[str, Row], list[Job]]:
     """Compare the recordings with the results that are there.
 
     A recording that has results keeps its name; the others get names that no folder has. Results count when they were
@@ -48,38 +35,45 @@ def make_plan(paths: Sequence[Path], out: Path, recipe: Recipe, *, overwrite: bo
     Args:
         paths: of the recordings, absolute.
         out: the folder of all results.
-        recipe: how they are made.
+        settings: how they are made.
         overwrite: run the recordings that have results, too.
+
+    Returns:
+        A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
     results = _results(out)
     new = [path for path in paths if str(path) not in results]
     names = unique_names(new, taken=[REPORT, *(entry.name for entry in out.iterdir())])
-    settings = _settings(recipe)
-    rows: list[Row] = []
+    made_with = _made_with(settings)
+    rows: dict[str, Row] = {}
     jobs: list[Job] = []
     outdated = 0
     for path in paths:
         name, summary = results.get(str(path)) or (names[path], None)
-        made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings}
-        job = Job(name, str(path), out / name, made_from)
-        if summary is not None and summary["made_from"] == made_from and not overwrite:
-            rows.append(row_of(job, "skipped", summary))
+        job = Job(name, str(path), out / name, {"input": {"path": str(path), **fingerprint(path)}, **made_with})
+        if summary is not None and summary["made_from"] == job.made_from and not overwrite:
+            rows[name] = row_of(job, "skipped", summary)
         else:
-            rows.append(Row(name, str(path), "pending"))
+            rows[name] = Row(name, str(path), "pending")
             jobs.append(job)
             outdated += summary is not None and not overwrite
-    return Plan(rows, jobs, outdated)
+    if outdated:
+        log.warning("running again, as input or settings have changed: %d", outdated)
+    return rows, jobs
 
 
-def with_absolute_paths(config: RunConfig) -> RunConfig:
-    """The same settings for a process that runs in another folder.
+def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
+    """The settings of every run, with absolute paths.
 
     Raises:
-        AirLineError: the calibration or the weights cannot be used: better said once than for every recording.
+        AirLineError: the calibration, the weights or the kinds of output cannot be used: better said once than for
+            every recording.
     """
     from airline.network.weights import BUNDLED, load_weights
     from frontend.camera.calibration import read_calibration
 
+    if not write or not OUTPUTS.keys() >= set(write):
+        raise ConfigError(f"cannot write {', '.join(write) or 'nothing'}: choose from {', '.join(OUTPUTS)}")
     replace = msgspec.structs.replace
     edges, calib = config.detector.edges, config.input.calib
     if calib is not None:
@@ -90,7 +84,9 @@ def with_absolute_paths(config: RunConfig) -> RunConfig:
         if edges.weights not in BUNDLED:
             edges = replace(edges, weights=str(Path(edges.weights).absolute()))
             config = replace(config, detector=replace(config.detector, edges=edges))
-    return config
+    if "rrd" not in write:
+        config = replace(config, recording=RecordingConfig())
+    return JobSettings(config, tuple(dict.fromkeys(write)))
 
 
 @contextmanager
@@ -100,11 +96,11 @@ def reserved(out: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be made or written, or another batch is writing into it.
     """
-    from logs.sinks.output import errors_of
-
-    with errors_of(out):
+    try:
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / ".lock").open("a")
+    except OSError as error:
+        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
@@ -138,18 +134,17 @@ def _results(out: Path) -> dict[str, tuple[str, dict[str, Any]]]:
     return found
 
 
-def _settings(recipe: Recipe) -> dict[str, Any]:
+def _made_with(settings: JobSettings) -> dict[str, Any]:
     """All that decides the results but the input, as JSON gives it back."""
-    config = recipe.config
-    settings = msgspec.to_builtins(config)
-    del settings["serial"], settings["input"]["max_latency"]
-    if "rrd" not in recipe.write:
-        del settings["recording"]
+    config = settings.config
+    values = msgspec.to_builtins(config)
+    del values["serial"], values["input"]["max_latency"]
+    if "rrd" not in settings.write:
+        del values["recording"]
     files = [file for file in (config.input.calib, config.detector.edges.weights) if file and os.path.isabs(file)]  # noqa: PTH117
-    made_from = {
-        "settings": settings,
+    made_with: dict[str, Any] = {
+        "settings": values,
         "files": {file: fingerprint(Path(file)) for file in files},
-        "write": sorted(recipe.write),
+        "write": sorted(settings.write),
     }
-    read_back: dict[str, Any] = json.loads(json.dumps(made_from))
-    return read_back
+    return dict(json.loads(json.dumps(made_with)))
