@@ -1,10 +1,11 @@
-"""What all command lines share: errors in one sentence, log lines that get along with a progress bar."""
+"""What all command lines share: errors in one sentence, checked arguments, log lines beside a progress bar."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import logging
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,39 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print and exit with 2."""
         self.exit(EXIT_USER_ERROR, f"error: {message}; see --help\n")
+
+    def add_json(self) -> None:
+        """The argument --json, a file in a folder that exists; see `write_json`."""
+        self.add_argument("--json", type=_json_file, metavar="FILE", help="write the figures as JSON")
+
+
+def _json_file(text: str) -> Path:
+    path = Path(text)
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"no folder {path.parent}: create it, or give another --json file")
+    return path
+
+
+def number(kind: type[int] | type[float], low: float, below: float = math.inf) -> Callable[[str], float]:
+    """Reader of an argument that is a number of a kind, from `low` on and under `below`."""
+
+    def read(text: str) -> float:
+        value: float = kind(text)
+        if not low <= value < below:
+            upper = f" and below {below:g}" if math.isfinite(below) else ""
+            raise argparse.ArgumentTypeError(f"{text} must be at least {low:g}{upper}")
+        return value
+
+    read.__name__ = kind.__name__  # argparse names it when the text is no number
+    return read
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Reader of an argument WIDTHxHEIGHT, px."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
+        raise argparse.ArgumentTypeError(f"'{text}' is no size: give WIDTHxHEIGHT of 16 px and more, such as 640x480")
+    return int(width), int(height)
 
 
 class StderrHandler(logging.Handler):

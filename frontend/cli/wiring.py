@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 from airline.errors import AirLineError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink, Source
+    from frontend.tracks import LineTracks
 
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
@@ -78,3 +81,17 @@ def open_recording(
         descriptor_every=chosen.descriptor_every,
         jpeg_quality=chosen.jpeg_quality,
     )
+
+
+def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
+    """An output for tracked lines; see `logs.sinks.open`."""
+    from logs.sinks.open import open_track_sink
+
+    return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels)
+
+
+def read_tracks(path: Path) -> Iterator[LineTracks]:
+    """Tracked lines out of a file; see `logs.read_tracks`."""
+    from logs import read_tracks
+
+    return iter(read_tracks(path))

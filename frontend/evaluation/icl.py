@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError
-from frontend.evaluation.clip import Truth
+from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.layouts import list_images
 

@@ -16,7 +16,7 @@ from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
-from frontend.evaluation.clip import Clip, Truth
+from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.layouts import list_images
 from frontend.sources.opencv import decode_image
