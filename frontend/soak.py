@@ -98,6 +98,7 @@ class Endurance:
         self.cpu_ms: list[float] = []
         self.handles: list[int] = []
         self._every = every
+        self._next_index = 0
         self._last_ns: int | None = None
         self._highest = -1
         self._alive: set[int] = set()
@@ -106,11 +107,11 @@ class Endurance:
     def write(self, result: FrameResult) -> None:
         """Check one frame, and take a sample when it is time."""
         tracks = result.tracks
-        if tracks.frame_index != self.frames:
-            self._fault(f"frame {tracks.frame_index} came where frame {self.frames} was due")
+        if tracks.frame_index != self._next_index:
+            self._fault(f"frame {tracks.frame_index} came where frame {self._next_index} was due")
         if self._last_ns is not None and tracks.stamp_ns <= self._last_ns:
             self._fault(f"the time of frame {tracks.frame_index} is not later than that of the one before")
-        self._last_ns = tracks.stamp_ns
+        self._next_index, self._last_ns = tracks.frame_index + 1, tracks.stamp_ns
         self._check_ids(tracks)
         self.frames += 1
         if self.frames % self._every == 0:

@@ -94,4 +94,4 @@ def read_tracks(path: Path) -> Iterator[LineTracks]:
     """Tracked lines out of a file; see `logs.read_tracks`."""
     from logs import read_tracks
 
-    return iter(read_tracks(path))
+    return read_tracks(path)

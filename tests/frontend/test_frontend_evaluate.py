@@ -17,9 +17,9 @@ from airline.errors import InputError
 from frontend.evaluate import main
 from frontend.evaluation.icl import LabelledClip, read_numbers
 from frontend.evaluation.posed import PosedClip
+from tests.helpers.command import ROOT, command
 from tests.helpers.data_sets import write_labelled, write_posed
 
-ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
 KEYS = {
     *("link_precision", "link_recall", "idf1", "switches_per_100", "fragments_per_100", "track_length_mean"),
@@ -166,25 +166,19 @@ def test_a_real_clip_with_poses(tmp_path: Path) -> None:
     [
         (["--sequence", "nothing"], "no sequence 'nothing': there are static"),
         (["--limit", "1"], "--limit"),
+        (["--limit", "many"], "--limit"),
         (["--json", "nowhere/figures.json"], "no folder"),
         (["--photos", "nowhere"], "nowhere"),
         (["--icl", "nowhere"], "no folder"),
         (["--posed", "nowhere"], "nowhere"),
     ],
 )
-def test_bad_arguments_are_one_sentence(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str) -> None:
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
-    assert message in error
-
-
-def test_usage_errors_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["--limit", "many"])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.startswith("error: ")
+def test_bad_arguments_are_one_sentence(arguments: list[str], message: str) -> None:
+    outcome = command(*arguments, main=main)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert message in outcome.err
 
 
 def test_help_loads_nothing_heavy() -> None:

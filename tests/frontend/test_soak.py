@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from frontend import soak
-from frontend.evaluation.endurance import Endurance, trend
+from frontend.soak import Endurance, trend
+from tests.helpers.command import command
 from tests.helpers.made_tracks import made_tracks, result_of
 
 
@@ -76,8 +77,9 @@ def test_growth_slowness_and_open_files_are_violations() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [(["--frames", "10"], "--frames must be"), (["--json", "no/such/x.json"], "no folder")]
+    ("arguments", "message"),
+    [(["--frames", "10"], "--frames: 10 must be at least 120"), (["--json", "no/such/x.json"], "no folder")],
 )
-def test_what_cannot_be_used_is_said(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert soak.main(arguments) == 2
-    assert message in capsys.readouterr().err
+def test_what_cannot_be_used_is_said(arguments: list[str], message: str) -> None:
+    outcome = command(*arguments, main=soak.main)
+    assert (outcome.code, message in outcome.err) == (2, True)

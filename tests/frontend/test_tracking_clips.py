@@ -16,10 +16,9 @@ from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.scenes import RenderedClip
 from airline.scenes.visibility import MIN_LENGTH
-from frontend.evaluation.clip import Truth
 from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
-from frontend.evaluation.occluder import Occluder, cut_by_discs
-from frontend.evaluation.rendered import LabelledClip, rendered_clips
+from frontend.evaluation.rendered import RADIUS, SceneClip, cut_by_discs, occlude, occluder_discs, rendered_clips
+from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.scene import frame_of
 
@@ -28,9 +27,9 @@ CLIPS = {clip.name: clip for clip in rendered_clips()}
 SIZE = (640, 480)
 
 
-def clip_named(name: str) -> LabelledClip:
+def clip_named(name: str) -> SceneClip:
     clip = CLIPS[name]
-    assert isinstance(clip, LabelledClip)
+    assert isinstance(clip, SceneClip)
     return clip
 
 
@@ -54,6 +53,12 @@ def steps_across(image: NDArray[np.float32], segments: NDArray[np.float32]) -> N
     return np.array(steps)
 
 
+def hidden_at(points: NDArray[np.float32], i: int) -> NDArray[np.bool_]:
+    """(...) mask of the points (..., 2), px, behind the discs of frame `i`."""
+    offset = points[..., None, :] - occluder_discs(i, *SIZE)
+    return np.asarray((np.square(offset).sum(axis=-1) < RADIUS**2).any(axis=-1))
+
+
 def same(a: tuple[Frame, Truth], b: tuple[Frame, Truth]) -> bool:
     return (
         np.array_equal(a[0].image, b[0].image)
@@ -73,7 +78,7 @@ def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str
     clip = clip_named(name)
     frame, truth = clip.at(26)
     again = {other.name: other for other in rendered_clips()}[name]
-    assert isinstance(again, LabelledClip)
+    assert isinstance(again, SceneClip)
     assert same((frame, truth), again.at(26))
     assert same(next(iter(again)), clip.at(0))
     assert frame.index == 26
@@ -123,12 +128,12 @@ def test_dark_has_a_quarter_of_the_grey_levels_and_exposure_jumps_by_two() -> No
 
 
 def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
-    clip, occluder = clip_named("occlusion"), Occluder()
+    clip = clip_named("occlusion")
     view = clip.takes[0].render(16)
     bare, full = frame_of(16, view), Truth(view.segments_px, view.ids)
-    frame, truth = occluder.cover(bare, full)
+    frame, truth = occlude(bare, full)
     pixels = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1).astype(np.float32)
-    mask = occluder.hides(pixels, 16, SIZE)
+    mask = hidden_at(pixels, 16)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     assert 0.15 < mask.mean() < 0.5
@@ -138,11 +143,11 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
     assert set(truth.ids) <= set(full.ids)
     cut = 0
     for segment in full.segments_px[::6]:
-        pieces, _ = cut_by_discs(segment[None], occluder.discs(16, *SIZE), occluder.radius)
+        pieces, _ = cut_by_discs(segment[None], occluder_discs(16, *SIZE), RADIUS)
         delta = segment[1] - segment[0]
         length = float(np.hypot(*delta))
         shares = np.linspace(0, 1, round(length / 0.05))[:, None]
-        hidden = occluder.hides(segment[0] + shares * delta, 16, SIZE)
+        hidden = hidden_at(segment[0] + shares * delta, 16)
         borders = np.flatnonzero(np.diff(np.concatenate([[True], hidden, [True]])))
         runs = (borders[1::2] - borders[::2]) * 0.05  # visible stretches, px
         found = np.hypot(*(pieces[:, 1] - pieces[:, 0]).T)
@@ -150,7 +155,7 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
         clear = np.abs(runs - MIN_LENGTH) > 0.3
         if clear.all():
             np.testing.assert_allclose(found, runs[runs >= MIN_LENGTH], atol=0.2)
-        middle = occluder.hides(pieces.mean(axis=1), 16, SIZE)
+        middle = hidden_at(pieces.mean(axis=1), 16)
         assert not middle.any()
         cut += int(hidden.any())
     assert cut > 10
@@ -159,9 +164,9 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
 def test_lines_hide_for_five_to_twenty_frames_and_come_back_under_their_id() -> None:
     sequence = RenderedClip("street", "static", 6, 120, effects=None)
     view = sequence.render(0)
-    occluder, seen = Occluder(), defaultdict(list)
+    seen = defaultdict(list)
     for i in range(120):
-        pieces, rows = cut_by_discs(view.segments_px, occluder.discs(i, *SIZE), occluder.radius)
+        pieces, rows = cut_by_discs(view.segments_px, occluder_discs(i, *SIZE), RADIUS)
         assert len(pieces) == len(rows)
         for track_id in np.unique(view.ids[rows]).tolist():
             seen[track_id].append(i)

@@ -13,12 +13,9 @@ from airline import LineSet
 from airline.scenes.paths import rotation
 from frontend import Frame
 from frontend.evaluation.baselines import FlowTracker, NearestTracker
-from frontend.evaluation.clip import Truth
-from frontend.evaluation.jitter import jitter
-from frontend.evaluation.metrics import changes, idf1, links, pure_length, score, track_lengths
+from frontend.evaluation.metrics import changes, identity_scores, idf1, jitter, links, pure_length, track_lengths
 from frontend.evaluation.posed import Observation, consistency, parallax, reprojection_errors, triangulate
-from frontend.evaluation.record import Record, Tracked
-from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, owners
+from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Record, Tracked, Truth, owners
 
 SIZE = (200, 160)
 
@@ -125,7 +122,7 @@ def run(
 
 def test_a_perfect_run() -> None:
     records = run(*[{7: 1, 9: 2, 11: 5}] * 10)
-    figures = score(records)
+    figures = identity_scores(records)
     assert (figures["link_precision"], figures["link_recall"], figures["idf1"]) == (1, 1, 1)
     assert (figures["wrong_links"], figures["switches_per_100"], figures["fragments_per_100"]) == (0, 0, 0)
     assert (figures["tracks"], figures["track_length_mean"], figures["pure_length_mean"]) == (3, 10, 10)
@@ -167,8 +164,7 @@ def test_a_known_fragment_is_no_second_claim() -> None:
 
 def test_changes() -> None:
     def counts(*frames: dict[int, int]) -> tuple[int, int]:
-        change = changes(run(*frames))
-        return change.switches, change.fragments
+        return changes(run(*frames))
 
     assert counts({0: 1}, {0: 1}, {5: 1}, {5: 1}) == (1, 0)
     assert counts({0: 1}, {}, {5: 1}) == (1, 1), "lost and found again under another id"
@@ -183,13 +179,13 @@ def test_lengths() -> None:
     records = run({0: 1, 1: 2}, {0: 1}, {0: 2, 3: UNKNOWN}, {3: UNKNOWN})
     assert track_lengths(records).tolist() == [3, 1, 2]
     assert pure_length(records) == pytest.approx((2 + 1) / 2), "a track on no known line has none"
-    figures = score(records)
+    figures = identity_scores(records)
     assert (figures["tracks"], figures["track_length_median"], figures["visible_length_mean"]) == (3, 2, 2)
     assert figures["alive_3"] == pytest.approx(1 / 3, abs=1e-4)
 
 
 def test_an_empty_run_has_no_figures() -> None:
-    figures = score(run({}, {}))
+    figures = identity_scores(run({}, {}))
     assert {figures[key] for key in ("link_precision", "link_recall", "idf1", "track_length_mean", "alive_3")} == {None}
     assert (figures["tracks"], figures["jitter_across_px"], figures["jitter_along_px"]) == (0, None, None)
 
@@ -201,8 +197,8 @@ def test_names_of_tracks_do_not_matter(seed: int) -> None:
     frames = [{int(t): int(rng.integers(-2, 6)) for t in rng.permutation(8)[: rng.integers(0, 8)]} for _ in range(6)]
     other = dict(zip(range(8), rng.permutation(50)[:8].tolist(), strict=True))
     renamed = [{other[track]: line for track, line in frame.items()} for frame in frames]
-    figures = score(run(*frames))
-    assert figures == score(run(*renamed))
+    figures = identity_scores(run(*frames))
+    assert figures == identity_scores(run(*renamed))
     for key in ("link_precision", "link_recall", "idf1"):
         assert figures[key] is None or 0 <= figures[key] <= 1
 
