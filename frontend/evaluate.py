@@ -138,7 +138,7 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
     if options.icl is not None:
         clips.append(LabelledClip(options.icl))
     posed = [PosedClip(options.posed)] if options.posed is not None else []
-    names = [clip.name for clip in (*clips, *posed)]
+    names = [clip.name for clip in clips] + [clip.name for clip in posed]
     wanted = options.sequence or names
     for name in wanted:
         if name not in names:

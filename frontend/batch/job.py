@@ -27,6 +27,7 @@ OUTPUTS = {
 }
 SUMMARY = "summary.json"
 UNFINISHED = ".unfinished-"
+FIGURES = ("frames", "skipped_frames", "lines_per_frame", "tracks", "track_length_median", "fps", "seconds")
 MOST_WARNINGS = 20
 
 # `python -m frontend.run`, which ends when nobody holds the other end of its stdin any more: a batch that is killed
@@ -57,18 +58,11 @@ class JobSettings:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to be run.
-
-    Attributes:
-        name: of the recording among the others.
-        input: absolute path.
-        folder: where its results appear.
-        made_from: input and settings, as the summary keeps them.
-    """
+    """One recording to be run; `made_from` is its state and the settings, as the summary keeps them."""
 
     name: str
-    input: str
-    folder: Path
+    input: str  # absolute
+    folder: Path  # where its results appear
     made_from: dict[str, Any]
 
 
@@ -113,8 +107,7 @@ class WorkerDied:
 
 def row_of(job: Job, status: Status, summary: dict[str, Any]) -> Row:
     """The row of a recording that has results, from its summary."""
-    figures = ("frames", "skipped_frames", "lines_per_frame", "tracks", "track_length_median", "fps", "seconds")
-    known: dict[str, Any] = {name: summary.get(name) for name in figures}
+    known = {name: summary.get(name) for name in FIGURES}
     warnings = tuple(summary.get("warnings", ()))
     return Row(job.name, job.input, status, output=str(job.folder), warnings=warnings, **known)
 
@@ -122,17 +115,13 @@ def row_of(job: Job, status: Status, summary: dict[str, Any]) -> Row:
 def run_recording(job: Job, settings: JobSettings, lifeline: int = subprocess.PIPE) -> Row | WorkerDied:
     """Run one recording in a process of its own; whatever goes wrong becomes the reason why it failed.
 
-    Results are written into a hidden folder beside `job.folder`, which takes the place of `job.folder` when they are
-    complete.
-
-    Args:
-        job: the recording.
-        settings: what is done with it.
-        lifeline: end of a pipe; the process ends when the other end is closed, by whom or what ever.
+    Results are written into a hidden folder beside `job.folder`, which takes its place when they are complete. The
+    process ends when the other end of the pipe `lifeline` is closed, by whom or what ever.
     """
     from airline import __version__
 
     unfinished = job.folder.with_name(f".{job.name}{UNFINISHED}{secrets.token_hex(4)}")
+    earlier = unfinished.with_name(f"{unfinished.name}-earlier")
     started = time.monotonic()
     warnings: tuple[str, ...] = ()
     try:
@@ -144,7 +133,9 @@ def run_recording(job: Job, settings: JobSettings, lifeline: int = subprocess.PI
             summary |= {"seconds": round(time.monotonic() - started, 3), "warnings": warnings}
             summary |= {"version": __version__, "made_from": job.made_from}
             (unfinished / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-            _publish(unfinished, job.folder)
+            if job.folder.exists():
+                job.folder.rename(earlier)  # no finished folder either, should we be killed here
+            unfinished.rename(job.folder)
             return row_of(job, "done", summary)
         if code not in (1, 2):
             return WorkerDied(_end(code))
@@ -153,7 +144,8 @@ def run_recording(job: Job, settings: JobSettings, lifeline: int = subprocess.PI
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        for folder in (unfinished, earlier):
+            shutil.rmtree(folder, ignore_errors=True)
     return Row(job.name, job.input, "failed", reason=reason, warnings=warnings)
 
 
@@ -199,12 +191,3 @@ def _end(code: int) -> str:
     except ValueError:
         name = f"signal {-code}"
     return f"its worker was killed by {name}" + (" (is there enough memory?)" if name == "SIGKILL" else "")
-
-
-def _publish(unfinished: Path, folder: Path) -> None:
-    """Let the results appear, in place of earlier ones."""
-    earlier = unfinished.with_name(f"{unfinished.name}-earlier")  # no finished folder either, should we be killed here
-    if folder.exists():
-        folder.rename(earlier)
-    unfinished.rename(folder)
-    shutil.rmtree(earlier, ignore_errors=True)

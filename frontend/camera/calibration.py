@@ -176,7 +176,8 @@ def _camera(
 ) -> CameraModel:
     """The camera, from its width and height, fx, fy, cx, cy, and distortion."""
     try:
-        return CameraModel(*size, *pinhole, *lens(model, coefficients))
+        (width, height), (fx, fy, cx, cy) = size, pinhole
+        return CameraModel(width, height, fx, fy, cx, cy, *lens(model, coefficients))
     except ConfigError as error:
         raise ConfigError(f"'{file}': {error}") from None
 
