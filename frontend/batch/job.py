@@ -107,7 +107,7 @@ class WorkerDied:
 
 def row_of(job: Job, status: Status, summary: dict[str, Any]) -> Row:
     """The row of a recording that has results, from its summary."""
-    known = {name: summary.get(name) for name in FIGURES}
+    known: dict[str, Any] = {name: summary.get(name) for name in FIGURES}
     warnings = tuple(summary.get("warnings", ()))
     return Row(job.name, job.input, status, output=str(job.folder), warnings=warnings, **known)
 

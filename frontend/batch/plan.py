@@ -8,7 +8,7 @@ import logging
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +30,16 @@ def make_plan(
 
     A recording that has results keeps its name; the others get names that no folder has. Results count when they were
     made from a file of the same path, size and time of change, with the same settings, be it by an older version of
-    this package.
-
-    Args:
-        paths: of the recordings, absolute.
-        out: the folder of all results.
-        settings: how they are made.
-        overwrite: run the recordings that have results, too.
+    this package. `overwrite` runs the recordings that have results, too.
 
     Returns:
         A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
-    results = _results(out)
+    results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
+    for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
+        with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
+            summary = json.loads(file.read_text(encoding="utf-8"))
+            results[summary["made_from"]["input"]["path"]] = file.parent.name, summary
     new = [path for path in paths if str(path) not in results]
     names = unique_names(new, taken=[REPORT, *(entry.name for entry in out.iterdir())])
     made_with = _made_with(settings)
@@ -49,14 +47,14 @@ def make_plan(
     jobs: list[Job] = []
     outdated = 0
     for path in paths:
-        name, summary = results.get(str(path)) or (names[path], None)
+        name, summary = results.get(str(path)) or (names[path], {})
         job = Job(name, str(path), out / name, {"input": {"path": str(path), **fingerprint(path)}, **made_with})
-        if summary is not None and summary["made_from"] == job.made_from and not overwrite:
+        if summary.get("made_from") == job.made_from and not overwrite:
             rows[name] = row_of(job, "skipped", summary)
         else:
             rows[name] = Row(name, str(path), "pending")
             jobs.append(job)
-            outdated += summary is not None and not overwrite
+            outdated += bool(summary) and not overwrite
     if outdated:
         log.warning("running again, as input or settings have changed: %d", outdated)
     return rows, jobs
@@ -120,31 +118,13 @@ def _remove_unfinished(out: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _results(out: Path) -> dict[str, tuple[str, dict[str, Any]]]:
-    """Name and summary of the results that are there, by the path of their recording."""
-    found = {}
-    for path in sorted(out.glob(f"*/{SUMMARY}")):
-        if path.parent.name.startswith("."):
-            continue
-        try:
-            summary = json.loads(path.read_text(encoding="utf-8"))
-            found[summary["made_from"]["input"]["path"]] = path.parent.name, summary
-        except (OSError, ValueError, LookupError, TypeError):  # not one of ours
-            continue
-    return found
-
-
 def _made_with(settings: JobSettings) -> dict[str, Any]:
     """All that decides the results but the input, as JSON gives it back."""
-    config = settings.config
-    values = msgspec.to_builtins(config)
+    values = msgspec.to_builtins(settings.config)
     del values["serial"], values["input"]["max_latency"]
     if "rrd" not in settings.write:
         del values["recording"]
-    files = [file for file in (config.input.calib, config.detector.edges.weights) if file and os.path.isabs(file)]  # noqa: PTH117
-    made_with: dict[str, Any] = {
-        "settings": values,
-        "files": {file: fingerprint(Path(file)) for file in files},
-        "write": sorted(settings.write),
-    }
+    files = [values["input"]["calib"], values["detector"]["edges"]["weights"]]
+    prints = {file: fingerprint(Path(file)) for file in files if file and os.path.isabs(file)}  # noqa: PTH117
+    made_with = {"settings": values, "files": prints, "write": sorted(settings.write)}
     return dict(json.loads(json.dumps(made_with)))

@@ -18,11 +18,9 @@ _LONGEST = 150  # bytes; file systems allow 255, and an unfinished folder's name
 
 
 def find_recordings(patterns: Iterable[str | os.PathLike[str]], out: Path) -> list[Path]:
-    """Absolute paths of all recordings, each once; those of one pattern in natural order.
+    """Absolute paths of the recordings that files, folders and globs name, each once, those of a glob in natural order.
 
-    Args:
-        patterns: files, folders or globs, in which `**` stands for folders of any depth.
-        out: where results go; what lies in it, or holds it, is no recording.
+    What lies in the folder `out` of the results, or holds it, is no recording.
 
     Raises:
         InputError: a pattern without a recording.
@@ -34,16 +32,15 @@ def find_recordings(patterns: Iterable[str | os.PathLike[str]], out: Path) -> li
         matches = [expanded] if os.path.lexists(expanded) else natsorted(glob.glob(expanded, recursive=True))  # noqa: PTH207
         if not matches:
             raise InputError(f"there is no recording '{pattern}': give files, folders or globs of recordings")
-        resolved = {match: Path(match).resolve() for match in matches}
-        kept = [
-            match
-            for match, path in resolved.items()
-            if path != results and results not in path.parents and path not in results.parents
-        ]
+        kept = [match for match in matches if not _overlap(Path(match).resolve(), results)]
         if not kept:
             raise InputError(f"'{pattern}' is where the results go: give another --out")
         found.update(dict.fromkeys(Path(os.path.abspath(match)) for match in kept))  # noqa: PTH100  keeps links
     return list(found)
+
+
+def _overlap(path: Path, other: Path) -> bool:
+    return path.is_relative_to(other) or other.is_relative_to(path)
 
 
 def fingerprint(path: Path) -> dict[str, int]:
@@ -62,11 +59,7 @@ def unique_names(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[Path,
     """A folder name for each recording: as short as is distinct, whatever their order.
 
     `a/x.mcap` becomes `x`; beside `b/x.mcap` it becomes `a-x`, beside `a/x.bag` it becomes `x.mcap`. Names differ by
-    more than upper and lower case.
-
-    Args:
-        paths: distinct absolute paths.
-        taken: names that are in use.
+    more than upper and lower case, also from those that are `taken`.
     """
     choices = {path: list(_choices(path)) for path in paths}
     claims = Counter(key for names in choices.values() for key in set(map(_key, names)))

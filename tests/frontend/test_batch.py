@@ -19,7 +19,7 @@ from frontend.batch import job as jobs
 from frontend.batch import run_batch
 from frontend.batch.__main__ import main
 from frontend.batch.job import OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
-from frontend.batch.plan import reserved
+from frontend.batch.plan import job_settings, make_plan, reserved
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
@@ -128,33 +128,38 @@ def test_what_has_changed_is_run_again(clip: Path, tmp_path: Path, monkeypatch: 
     before = write_times(out)
     stat = logs[0].stat()
     os.utime(logs[0], ns=(stat.st_atime_ns, stat.st_mtime_ns + 1))
-    changed = batch(*logs, "--out", out)
-    assert changed.code == 0
+    assert batch(*logs, "--out", out).code == 0
     assert {name: row["status"] for name, row in report_of(out).items()} == {"a": "done", "b": "skipped"}
     after = write_times(out)
     assert (after["a"] != before["a"], after["b"]) == (True, before["b"])
     other = ["--stride", 2, "--serial", "--preset", "fast", "--calib", "cam.json", "--write", *OUTPUTS]
-    assert batch(*logs, "--out", out, *other).code == 0
+    assert batch(logs[0], "--out", out, *other).code == 0
     assert {(row["status"], row["frames"]) for row in report_of(out).values()} == {("done", FRAMES // 2)}
     assert {path.name for path in (out / "a").iterdir()} == {*OUTPUTS.values(), "summary.json"}
     assert batch(logs[0], "--out", out, *other).code == 0
     assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "skipped")]
-    assert batch(logs[0], "--out", out, *other, "--overwrite").code == 0
-    assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "done")]
     assert visible(out) == {"a", "b"}
 
 
-def test_recordings_keep_the_names_of_their_results(clip: Path, tmp_path: Path) -> None:
-    first, second = (camera_log(tmp_path / folder / "x.mcap", clip) for folder in ("one", "two"))
-    out = tmp_path / "out"
-    (out / "foreign").mkdir(parents=True)
-    images = tmp_path / "foreign"  # somebody else's folder has that name
-    images.symlink_to(clip)
-    assert [row.name for row in run_batch([first, images], out)] == ["x", f"{tmp_path.name}-foreign"]
-    assert [row.name for row in run_batch([second], out)] == ["two-x"]
-    rows = run_batch([tmp_path / "*" / "x.mcap"], out)
-    assert [(row.name, row.status) for row in rows] == [("x", "skipped"), ("two-x", "skipped")]
-    assert not list((out / "foreign").iterdir())
+def test_recordings_keep_the_names_of_their_results(tmp_path: Path) -> None:
+    settings = job_settings(RunConfig(), ["parquet"])
+
+    def plan(*paths: Path, overwrite: bool = False) -> list[tuple[str, str]]:
+        rows, jobs = make_plan(paths, tmp_path, settings, overwrite=overwrite)
+        assert [job.name for job in jobs] == [name for name, row in rows.items() if row.status == "pending"]
+        for job in jobs:
+            job.folder.mkdir(exist_ok=True)
+            (job.folder / "summary.json").write_text(json.dumps({"frames": 3, "made_from": job.made_from}))
+        return [(name, row.status) for name, row in rows.items()]
+
+    (tmp_path / "foreign").mkdir()  # somebody else's folder
+    first, second, foreign = Path("/one/x.mcap"), Path("/two/x.mcap"), Path("/d/foreign.mcap")
+    assert plan(first, foreign) == [("x", "pending"), ("d-foreign", "pending")]
+    assert plan(second) == [("two-x", "pending")]
+    assert plan(first, second) == [("x", "skipped"), ("two-x", "skipped")]
+    assert plan(first, second, overwrite=True) == [("x", "pending"), ("two-x", "pending")]
+    (tmp_path / "x" / "summary.json").write_text("not ours")
+    assert plan(first, second) == [("one-x", "pending"), ("two-x", "skipped")]
 
 
 @pytest.mark.parametrize(
