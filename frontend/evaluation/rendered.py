@@ -134,12 +134,7 @@ def _clouds() -> NDArray[np.float32]:
 def cut_by_discs(
     segments: NDArray[np.float32], centres: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """The parts of segments outside of discs.
-
-    Args:
-        segments: (N, 2, 2) px.
-        centres: (D, 2) px.
-        radius: of every disc, px.
+    """The parts of segments (N, 2, 2) outside of discs around centres (D, 2), px.
 
     Returns:
         (K, 2, 2) float32 pieces at least as long as the renderer's shortest line; (K,) int64 rows of `segments`.
