@@ -14,12 +14,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airline.command import Parser, image_size, number, write_json
 from airline.config import PRESETS, RUNTIMES
@@ -27,8 +26,6 @@ from airline.errors import AirLineError, InputError
 from frontend.bench import ClipSource, load_clips, memory_mb
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from frontend.protocols import FrameResult, Sink
     from frontend.tracks import LineTracks
 
@@ -40,6 +37,7 @@ LEAST_FRAMES = 120
 GROWTH_MB = 16.0  # what may be certain of growth; 330 bytes per frame over 50,000 frames
 SLOWER = 0.1  # part of the time per frame by which it may certainly grow
 BLOCKS = 20  # samples follow each other too closely to count each; medians of so many blocks do not
+TRENDS = ("memory_mb", "cpu_ms")
 T_95 = 2.101  # Student's t for 18 degrees of freedom, two-sided
 
 
@@ -58,14 +56,15 @@ class Trend(NamedTuple):
     change: float
     margin: float
 
-    @property
-    def least(self) -> float:
-        """The change that is certain: 0 where the interval holds 0."""
-        return max(0.0, self.change - self.margin)
 
+def trend(samples: Sequence[float]) -> Trend:
+    """The line through equally spaced samples behind the warm-up, its confidence by the scatter of block medians.
 
-def trend(values: NDArray[np.float64]) -> Trend:
-    """The line through (N,) equally spaced samples, 20 or more, its confidence by the scatter of block medians."""
+    All is NaN where they are too few, as after Ctrl-C, or where the system did not say.
+    """
+    values = np.array(samples[round(WARM_UP * len(samples)) :], np.float64)
+    if len(values) < 30:
+        return Trend(*[np.nan] * 4)
     place = np.linspace(-0.5, 0.5, len(values))
     blocks = np.array([[np.median(part) for part in np.array_split(v, BLOCKS)] for v in (place, values)])
     x, y = blocks[0] - blocks[0].mean(), blocks[1] - blocks[1].mean()
@@ -92,8 +91,7 @@ class Endurance:
 
     def __init__(self, every: int) -> None:
         self.faults: list[str] = []
-        self.frames = 0
-        self.tracks = 0
+        self.frames = self.tracks = 0
         self.memory_mb: list[float] = []
         self.cpu_ms: list[float] = []
         self.handles: list[int] = []
@@ -146,12 +144,7 @@ class Endurance:
 
 
 class Turns:
-    """Records into a few files in turn; a `Sink`.
-
-    Args:
-        folder: where `soak-0.mcap`, `soak-0.rrd`, `soak-1.mcap`, ... go; what is there is overwritten.
-        frames: per file.
-        files: how many there are of each kind.
+    """Records into a few files of so many frames in turn: `soak-0.mcap`, `soak-0.rrd`, `soak-1.mcap`, ...; a `Sink`.
 
     Attributes:
         finished: files of each kind that have been completed.
@@ -232,6 +225,7 @@ def run(options: argparse.Namespace) -> int:
         AirLineError: an argument or the input cannot be used.
     """
     from rich.console import Console
+    from rich.table import Table
 
     from frontend.cli.settings import load
     from frontend.run import process
@@ -253,7 +247,10 @@ def run(options: argparse.Namespace) -> int:
     if code not in (0, 130):
         return code
     figures = judge(watch, turns)
-    Console().print(table(figures, summary.fps))
+    table = Table(show_header=False)
+    for name, value in {"frames/s": summary.fps, **figures}.items():
+        table.add_row(name, ", ".join(f"{part} {v:.2f}" for part, v in value.items()) if name in TRENDS else f"{value}")
+    Console().print(table)
     for fault in figures["faults"]:
         print(f"violation: {fault}", file=sys.stderr)
     samples = {"memory_mb": watch.memory_mb, "cpu_ms": watch.cpu_ms, "handles": watch.handles}
@@ -264,11 +261,11 @@ def run(options: argparse.Namespace) -> int:
 def judge(watch: Endurance, turns: Turns) -> dict[str, Any]:
     """All figures of a run, and what was wrong with it."""
     faults = [*watch.faults, *turns.faults]
-    memory, cpu = (_trend(values) for values in (watch.memory_mb, watch.cpu_ms))
-    handles = watch.handles[len(watch.handles) // 4 :]
-    if memory is not None and memory.least > GROWTH_MB:
+    memory, cpu = trend(watch.memory_mb), trend(watch.cpu_ms)
+    handles = watch.handles[round(WARM_UP * len(watch.handles)) :]
+    if memory.change - memory.margin > GROWTH_MB:
         faults.append(f"memory grew by {memory.change:.1f} ± {memory.margin:.1f} MB, more than {GROWTH_MB:g}")
-    if cpu is not None and cpu.least > SLOWER * cpu.mean:
+    if cpu.change - cpu.margin > SLOWER * cpu.mean:
         faults.append(f"the time per frame grew by {cpu.change:.2f} ± {cpu.margin:.2f} ms of {cpu.mean:.2f}")
     third = max(1, len(handles) // 3)
     if handles and min(handles[-third:]) > max(handles[:third]):
@@ -277,42 +274,17 @@ def judge(watch: Endurance, turns: Turns) -> dict[str, Any]:
         "frames": watch.frames,
         "tracks": watch.tracks,
         "files": turns.finished,
-        "memory_mb": None if memory is None else memory._asdict(),
-        "cpu_ms": None if cpu is None else cpu._asdict(),
+        "memory_mb": memory._asdict(),
+        "cpu_ms": cpu._asdict(),
         "handles": [min(handles), max(handles)] if handles else None,
         "faults": faults,
     }
-
-
-def table(figures: dict[str, Any], fps: float) -> Table:
-    """The figures for the terminal."""
-    from rich.table import Table
-
-    shown = Table(show_header=False)
-    shown.add_row("frames, in order", f"{figures['frames']}")
-    shown.add_row("frames/s", f"{fps:.1f}")
-    shown.add_row("track ids, none used twice", f"{figures['tracks']}")
-    shown.add_row("files of each kind, read back", f"{figures['files']}")
-    for title, key in (("memory, MB", "memory_mb"), ("processor time per frame, ms", "cpu_ms")):
-        if figures[key] is not None:
-            text = "{mean:.1f}; change {change:+.2f} ± {margin:.2f}, noise {noise:.2f}"
-            shown.add_row(title, text.format(**figures[key]))
-    if figures["handles"]:
-        shown.add_row("open files and threads", "{} to {}".format(*figures["handles"]))
-    shown.add_row("violations", f"{len(figures['faults'])}")
-    return shown
 
 
 def resident_mb() -> float:
     """Memory of this process in MB, garbage collected first; NaN where the system does not say."""
     gc.collect()
     return memory_mb("VmRSS")
-
-
-def _trend(values: list[float]) -> Trend | None:
-    """The trend behind the warm-up; None where there is too little, or nothing that is known."""
-    settled = np.array(values[round(WARM_UP * len(values)) :])
-    return trend(settled) if len(settled) >= 30 and np.isfinite(settled).all() else None
 
 
 if __name__ == "__main__":

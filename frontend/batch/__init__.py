@@ -60,8 +60,7 @@ def run_batch(
         config: settings of each run, see `frontend.cli.settings.load`.
         write: what to write for each recording: "parquet", "mcap", "csv", "limap", "plvins" or "rrd".
         workers: how many recordings run at once on this machine; by default one per two cores.
-        ray: run on Ray instead: "local", "auto", "HOST:PORT" or "ray://HOST:PORT". All nodes need this package, and the
-            inputs and `out` under the same paths.
+        ray: run on Ray instead: "local", "auto", "HOST:PORT" or "ray://HOST:PORT".
         overwrite: run recordings that have results, too.
 
     Returns:

@@ -23,10 +23,8 @@ _TIMEOUT_S = 10.0
 def on_ray(address: str, settings: JobSettings) -> Iterator[Submit]:
     """What starts recordings; at the end of the block, those that still run are ended.
 
-    Args:
-        address: "local" starts Ray on this machine, for this machine alone; "auto", HOST:PORT and ray://HOST:PORT
-            connect to a cluster, whose nodes have this package installed.
-        settings: what is done with each recording.
+    The address "local" starts Ray on this machine, for this machine alone; "auto", HOST:PORT and ray://HOST:PORT
+    connect to a cluster, whose nodes have this package, and inputs and results under the same paths.
 
     Raises:
         ConfigError: Ray is not installed, or that is no address.

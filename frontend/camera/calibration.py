@@ -1,16 +1,4 @@
-"""Camera calibrations in the files that calibration tools write.
-
-What a file is shows in its content:
-
-- EuRoC / ASL `sensor.yaml`: `resolution`, `intrinsics`, `distortion_model`, `distortion_coefficients`.
-- Kalibr `camchain.yaml`: `cam0`, `cam1`, ..., each with `camera_model: pinhole`, `intrinsics`, `distortion_model`
-  (radtan, equidistant or none), `distortion_coeffs`, `resolution`.
-- ROS `camera_info` (camera_calibration, camera_info_manager; OpenCV's own calibration sample writes the same fields):
-  `image_width`, `image_height`, `camera_matrix`, `distortion_model`, `distortion_coefficients`. The camera is that of
-  the raw images.
-- JSON (or YAML) of eight fields: `width`, `height`, `fx`, `fy`, `cx`, `cy` in px with (0, 0) at the centre of the
-  top-left pixel, and optionally `distortion` ("none", "radial-tangential" or "equidistant") with `coefficients`.
-"""
+"""Camera calibrations in the files that calibration tools write; what a file is shows in its content."""
 
 from __future__ import annotations
 
@@ -47,7 +35,7 @@ _Nine = Annotated[list[_Number], Meta(min_length=9, max_length=9)]
 
 
 class _Euroc(Struct):
-    """EuRoC and Kalibr, which differ in the name of the coefficients."""
+    """EuRoC's `sensor.yaml`, and each of `cam0`, `cam1`, ... in Kalibr's `camchain.yaml`."""
 
     resolution: _Two
     intrinsics: _Four
@@ -58,6 +46,8 @@ class _Euroc(Struct):
 
 
 class _Ros(Struct):
+    """ROS's `camera_info` of the raw images; OpenCV's own calibration sample writes the same fields."""
+
     image_width: _Side
     image_height: _Side
     camera_matrix: _Nine
@@ -67,6 +57,8 @@ class _Ros(Struct):
 
 
 class _Simple(Struct, forbid_unknown_fields=True):
+    """JSON or YAML of what `CameraModel` holds."""
+
     width: _Side
     height: _Side
     fx: _Number
@@ -78,7 +70,7 @@ class _Simple(Struct, forbid_unknown_fields=True):
 
 
 def read_calibration(path: str | os.PathLike[str], camera: str | None = None) -> CameraModel:
-    """Read a camera from a calibration file; the kind of the file is told by its content, see above.
+    """Read a camera from a calibration file.
 
     Args:
         path: the file.
@@ -90,14 +82,9 @@ def read_calibration(path: str | os.PathLike[str], camera: str | None = None) ->
         ConfigError: there is no such camera, or its model is not supported.
     """
     file = Path(path)
-    tree = _read(file)
-    if not isinstance(tree, dict):
-        tree = {}
-    chain = {
-        name: entry
-        for name, entry in tree.items()
-        if isinstance(name, str) and _CAMERA.fullmatch(name) and isinstance(entry, dict)
-    }
+    content = _read(file)
+    tree = content if isinstance(content, dict) else {}
+    chain = {name: entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name)) and isinstance(entry, dict)}
     if chain:
         name = _choose(chain, camera, file)
         return _euroc(chain[name], file, f"{name}.")
@@ -141,10 +128,10 @@ def _choose(chain: Mapping[str, Mapping[str, Any]], wanted: str | None, file: Pa
             if wanted in (name, entry.get("rostopic")):
                 return name
         raise ConfigError(f"'{file}' has no camera '{wanted}': it has {', '.join(chain)}")
-    name = min(chain, key=lambda name: int(name[3:]))
+    first = min(chain, key=lambda name: int(name[3:]))
     if len(chain) > 1:
-        log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
-    return name
+        log.warning("'%s' holds %s: using %s", file, ", ".join(chain), first)
+    return first
 
 
 def _euroc(tree: Mapping[str, Any], file: Path, prefix: str = "") -> CameraModel:

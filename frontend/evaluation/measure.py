@@ -36,13 +36,7 @@ TRACKERS: dict[str, Callable[[], Tracker]] = {"ours": OurTracker, "nearest": Nea
 
 
 def measure(clip: Clip, detect: AirLine, limit: int | None, tick: Tick) -> dict[str, Figures]:
-    """Figures of every tracker on a clip with known identities.
-
-    Args:
-        clip: frames and truth.
-        detect: run once per frame; all trackers get its lines.
-        limit: use only the first so many frames.
-        tick: called after every frame.
+    """Figures of every tracker on the first `limit` frames of a clip with known identities; all get the same lines.
 
     Raises:
         InputError: a frame cannot be read.
@@ -60,10 +54,7 @@ def measure(clip: Clip, detect: AirLine, limit: int | None, tick: Tick) -> dict[
 
 
 def measure_posed(clip: PosedClip, detect: AirLine, limit: int | None, tick: Tick) -> dict[str, Figures]:
-    """Figures of every tracker on a clip with known poses; same arguments and errors as `measure`.
-
-    What is triangulated are the detections: how well a tracker fuses them is not asked here.
-    """
+    """The same on a clip with known poses. What is triangulated are the detections, not what a tracker fuses."""
     trackers = {name: make() for name, make in TRACKERS.items()}
     tracks: dict[str, dict[int, list[Observation]]] = {name: {} for name in trackers}
     times: dict[str, list[float]] = {name: [] for name in trackers}

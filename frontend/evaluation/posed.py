@@ -68,10 +68,6 @@ def consistency(tracks: Sequence[Sequence[Observation]], K: NDArray[np.float64])
     reprojected infinite line. Lines that move by themselves are not, however well they are tracked; lines whose planes
     all agree (they point where the camera goes) always are: `parallax_deg` is the median angle between the farthest
     two planes of a track.
-
-    Args:
-        tracks: observations of every track, at least one of each.
-        K: (3, 3) intrinsic matrix.
     """
     long = [track for track in tracks if len(track) >= MIN_FRAMES]
     good = [len(track) for track in long if reprojection_errors(track, triangulate(track, K), K).max() <= MAX_ERROR]
