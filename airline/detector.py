@@ -125,10 +125,15 @@ class AirLine:
 
     def trace(self, image: ArrayLike) -> Trace:
         """Line segments of an image with every intermediate result; same arguments and errors as calling."""
+        gray, edges, edges_ms = self.detect_edges(image)
+        return self.trace_edges(edges, gray, edges_ms)
+
+    def detect_edges(self, image: ArrayLike) -> tuple[Gray, NDArray[np.float32], float]:
+        """The grey image, its (H, W) edge map, and the milliseconds that the edge detector took."""
         gray = to_gray(image)
         started = time.perf_counter()
         edges = self.edges.detect(gray)
-        return self.trace_edges(edges, gray, 1e3 * (time.perf_counter() - started))
+        return gray, edges, 1e3 * (time.perf_counter() - started)
 
     def trace_edges(self, edges: NDArray[np.float32], gray: Gray | None = None, edges_ms: float = 0.0) -> Trace:
         """The stages after edge detection, on an edge map of your own.

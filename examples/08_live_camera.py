@@ -7,18 +7,21 @@ import sys
 
 from airline.scenes import RenderedClip
 from frontend import LineFrontend, open_source
-from frontend.sources.fresh import FreshFrames
-from frontend.sources.realtime import RealtimeSource
+from frontend.sources.pace import FreshFrames, RealtimeSource
 from frontend.sources.scene import SceneSource
+from frontend.sources.wrapped import Peeked
 
 if len(sys.argv) > 1:
     camera = open_source(sys.argv[1])
 else:
     camera = RealtimeSource(SceneSource(RenderedClip(seed=12, frames=40)), ahead=True)
-fresh = FreshFrames(camera, hold=len(sys.argv) == 1)  # drops the oldest frames when the camera is faster than we are
+fresh = FreshFrames(camera)  # drops the oldest frames when the camera is faster than we are
 frontend = LineFrontend()
 try:
-    for result in frontend.results(fresh, prepare=lambda frame: frontend.warm_up(frame.image)):
+    frames = Peeked(fresh)
+    if frames.first is not None:
+        frontend.warm_up(frames.first.image)
+    for result in frontend.results(frames):
         confirmed = result.tracks.confirmed.sum()
         print(f"{result.tracks.stamp_ns / 1e9:.3f} s: {confirmed} confirmed tracks, {result.latency_ms:.1f} ms")
 except KeyboardInterrupt:

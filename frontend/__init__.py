@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,42 +16,24 @@ if TYPE_CHECKING:
     from frontend.tracking.config import TrackerConfig
     from frontend.tracks import LineTracks, TrackState
 
-_HOMES = {
-    "CameraModel": "frontend.camera.model",
-    "Frame": "frontend.frame",
-    "FrameResult": "frontend.protocols",
-    "LineFrontend": "frontend.pipeline",
-    "LineTracker": "frontend.tracker",
-    "LineTracks": "frontend.tracks",
-    "Observations": "frontend.history",
-    "Sink": "frontend.protocols",
-    "Source": "frontend.protocols",
-    "TrackHistory": "frontend.history",
-    "TrackState": "frontend.tracks",
-    "TrackerConfig": "frontend.tracking.config",
-    "open_source": "frontend.sources",
-}
+__all__ = ["CameraModel", "Frame", "FrameResult", "LineFrontend", "LineTracker", "LineTracks", "Observations", "Sink"]
+__all__ += ["Source", "TrackHistory", "TrackState", "TrackerConfig", "open_source"]
 
-__all__ = [
-    "CameraModel",
-    "Frame",
-    "FrameResult",
-    "LineFrontend",
-    "LineTracker",
-    "LineTracks",
-    "Observations",
-    "Sink",
-    "Source",
-    "TrackHistory",
-    "TrackState",
-    "TrackerConfig",
-    "open_source",
-]
+_MODULES = {
+    "camera.model": ("CameraModel",),
+    "frame": ("Frame",),
+    "history": ("Observations", "TrackHistory"),
+    "pipeline": ("LineFrontend",),
+    "protocols": ("FrameResult", "Sink", "Source"),
+    "sources": ("open_source",),
+    "tracker": ("LineTracker",),
+    "tracking.config": ("TrackerConfig",),
+    "tracks": ("LineTracks", "TrackState"),
+}
 
 
 def __getattr__(name: str) -> Any:  # imports on first use, so that the command line answers at once
-    if name not in _HOMES:
-        raise AttributeError(f"module 'frontend' has no attribute '{name}'")
-    from importlib import import_module
-
-    return getattr(import_module(_HOMES[name]), name)
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(import_module(f"frontend.{module}"), name)
+    raise AttributeError(f"module 'frontend' has no attribute '{name}'")

@@ -25,6 +25,7 @@ from airline.config import PRESETS, RUNTIMES
 from airline.errors import InputError
 from frontend.cli.terminal import progress
 from frontend.frame import Frame
+from frontend.protocols import Source
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -63,8 +64,8 @@ ROWS = {
 
 
 @dataclass(frozen=True)
-class ClipSource:
-    """A `Source` that decodes a short clip, forth and back until there are `frame_count` frames.
+class ClipSource(Source):
+    """A source that decodes a short clip, forth and back until there are `frame_count` frames.
 
     Attributes:
         files: the clip's frames as JPEG files, each with one px size for all.
@@ -75,7 +76,6 @@ class ClipSource:
     files: Sequence[bytes]
     frame_count: int
     name: str = "bench"
-    skipped: int = 0
 
     def __iter__(self) -> Iterator[Frame]:
         from frontend.sources.opencv import decode_image
@@ -86,9 +86,6 @@ class ClipSource:
             image = decode_image(self.files[min(place, period - place)])
             assert image is not None
             yield Frame(index, index * PERIOD_NS, image)
-
-    def close(self) -> None:
-        """Nothing stays open."""
 
 
 def build_parser() -> Parser:
@@ -205,7 +202,7 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
                 yield open_track_sink(f"{folder}/run.mcap")
 
         before = memory_mb("VmRSS")
-        _, summary = process(clip, config, open_sinks)
+        _, summary = process(clip, config, open_sinks())
         return {**summary.to_dict(), "peak_mb": round(memory_mb("VmHWM") - before, 1)}
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -24,12 +25,14 @@ class Frame:
         stamp_ns: sensor time in nanoseconds (for a video file: time since its first frame).
         image: (H, W) grey or (H, W, 3) BGR, uint8 or uint16.
         camera: the camera that took it, where known.
+        read_s: `time.perf_counter()` when it had been read; latencies count from then.
     """
 
     index: int
     stamp_ns: int
     image: NDArray[np.uint8] | NDArray[np.uint16]
     camera: CameraModel | None = None
+    read_s: float = field(default_factory=time.perf_counter, kw_only=True, compare=False, repr=False)
 
     @cached_property
     def gray(self) -> Gray:

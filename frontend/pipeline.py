@@ -1,25 +1,34 @@
-"""The way through: source, detector, tracker, sinks."""
+"""The way of a frame: a source reads it, the detector finds its lines, the tracker names them, the sinks write them.
+
+    source ──> detect_edges ──> trace_edges ──> tracker.update ──> sinks
+     Frame      Gray, edges        Trace           LineTracks      FrameResult
+
+`run_pipeline` goes that way for the command lines, `LineFrontend.stream` for programs that use the library. All four
+steps run at once, each on another frame.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
-from inspect import GEN_RUNNING, getgeneratorstate
-from itertools import chain
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack, closing
 from os import PathLike
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
+from airline.errors import InputError
 from airline.image import Gray
+from airline.kernels.threads import cores
 from airline.trace import Trace
-from frontend.cores import network_threads
+from frontend.cli.signals import uninterrupted
 from frontend.frame import Frame
-from frontend.protocols import FrameResult, Source, is_live, stopping
-from frontend.sources.fresh import MAX_LATENCY_S, FreshFrames
+from frontend.protocols import FrameResult, Sink, Source
+from frontend.sources import open_source
+from frontend.sources.pace import MAX_LATENCY_S, FreshFrames
+from frontend.sources.wrapped import Peeked
 from frontend.stages import pipelined
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
@@ -27,12 +36,58 @@ from frontend.warm_up import warm_up
 
 if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
+    from frontend.cli.summary import SummaryCounter
 
 
-def open_frontend(config: RunConfig) -> LineFrontend:
-    """Detector and tracker of a run's settings, which leave the input's aside."""
-    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
-    return LineFrontend(detector, LineTracker(config.tracker))
+def run_pipeline(
+    source: Source,
+    frontend: LineFrontend,
+    sinks: Iterable[Sink],
+    counter: SummaryCounter,
+    *,
+    serial: bool = False,
+    advance: Callable[[], None] = lambda: None,
+) -> None:
+    """Take every frame of a source through detector and tracker into all sinks.
+
+    Args:
+        source: the frames; closed whatever happens.
+        frontend: detector and tracker.
+        sinks: where results go; closed whatever happens. They may come from a generator that opens them: it is asked
+            when the first frame has been read, so that a bad input leaves earlier output files alone.
+        counter: counts the frames, from when the sinks are open.
+        serial: see `LineFrontend.results`.
+        advance: called after each frame.
+
+    Raises:
+        InputError: the source yields no frame.
+        AirLineError: the source or a sink cannot be used, or not any longer.
+    """
+    with closing(source), ExitStack() as finishing:
+        frames = Peeked(source)
+        if frames.first is None:
+            raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
+        frontend.warm_up(frames.first.image)
+
+        opened: list[Sink] = []
+        for sink in sinks:  # one by one: those that are open are closed when the next one fails
+            finishing.callback(_finish, sink)
+            opened.append(sink)
+        counter.start()
+
+        with closing(frontend.results(frames, serial=serial)) as results:
+            for result in results:
+                with uninterrupted():  # a frame is in all of them, or in none
+                    started = time.perf_counter()
+                    for sink in opened:
+                        sink.write(result)
+                    counter.add(result, sinks_ms=1e3 * (time.perf_counter() - started))
+                advance()
+
+
+def _finish(sink: Sink) -> None:
+    with uninterrupted():
+        sink.close()
 
 
 class LineFrontend:
@@ -57,10 +112,6 @@ class LineFrontend:
         """
         warm_up(self.detector, self.tracker.config, image)
 
-    def process(self, frame: Frame) -> FrameResult:
-        """Detect and track in the next frame of a stream."""
-        return self._track(self._trace(self._detect(_Read(frame, time.perf_counter()))))
-
     def stream(
         self, source: Source | str | PathLike[str], *, max_latency_s: float = MAX_LATENCY_S
     ) -> Iterator[LineTracks]:
@@ -68,89 +119,62 @@ class LineFrontend:
 
         Args:
             source: a `Source`, or whatever `frontend.open_source` takes: a video file, an image folder or glob, a
-                camera index, a stream URL. It is read in another thread.
+                camera index, a stream URL. It is read in another thread, and closed at the end.
             max_latency_s: of a live source only, see `FreshFrames`: frames that come too fast are dropped.
 
         Raises:
             InputError: the source cannot be used.
         """
-        from frontend.sources import open_source
-
         opened = open_source(source) if isinstance(source, (str, PathLike)) else source
-        if is_live(opened):
+        if opened.live:
             opened = FreshFrames(opened, max_latency_s)
-        with closing(opened), closing(self.results(opened)) as results, stopping(opened):
+        with closing(opened), closing(self.results(opened)) as results:
             for result in results:
                 yield result.tracks
 
-    def results(
-        self, source: Source, *, serial: bool = False, prepare: Callable[[Frame], None] | None = None
-    ) -> Generator[FrameResult, None, None]:
+    def results(self, source: Source, *, serial: bool = False) -> Generator[FrameResult, None, None]:
         """All that is known of every frame of a source, in order.
 
         Reading, edge detection, the stages after it and tracking run in a thread each, so that their work on different
         frames overlaps; see `frontend.stages.pipelined` for errors and for the end. Close the generator to stop early.
 
         Args:
-            source: the frames; left open. Of `FreshFrames`, each is taken only when the edge detector is ready for it.
+            source: the frames; stopped at the end, and left open. Of a live one, a frame is taken only when the edge
+                detector is ready for it.
             serial: do one thing after the other, in the caller's thread. The results are the same.
-            prepare: called with the first frame before anything is done with it.
         """
-        read = _read(source)
-        try:
-            first = next(read, None)
-            if first is None:
-                return
-            if prepare is not None:
-                prepare(first.frame)
-                if isinstance(source, FreshFrames):
-                    source.restart()
-            items = chain([first], read)
-            if serial:
-                yield from (self._track(self._trace(self._detect(item))) for item in items)
-            else:
-                read_ahead = not isinstance(source, FreshFrames)
-                yield from pipelined(items, self._detect, self._trace, self._track, read_ahead=read_ahead)
-        finally:
-            if getgeneratorstate(read) != GEN_RUNNING:  # in its thread, which a second Ctrl-C leaves behind
-                read.close()
+        if serial:
+            return (self.process(frame) for frame in source)
+        stages = self._detect, self._trace, self._track
+        return pipelined(iter(source), *stages, read_ahead=not source.live, stop=source.stop)
 
-    def _detect(self, read: _Read) -> _Detected:
-        gray = read.frame.gray
-        started = time.perf_counter()
-        edges = self.detector.edges.detect(gray)
-        return _Detected(read, gray, edges, 1e3 * (time.perf_counter() - started))
+    def process(self, frame: Frame) -> FrameResult:
+        """Detect and track in the next frame of a stream."""
+        return self._track(self._trace(self._detect(frame)))
 
-    def _trace(self, detected: _Detected) -> _Traced:
-        return _Traced(detected.read, self.detector.trace_edges(detected.edges, detected.gray, detected.edges_ms))
+    def _detect(self, frame: Frame) -> tuple[Frame, Gray, NDArray[np.float32], float]:
+        return frame, *self.detector.detect_edges(frame.gray)
 
-    def _track(self, traced: _Traced) -> FrameResult:
-        (frame, arrived_s), trace = traced
+    def _trace(self, detected: tuple[Frame, Gray, NDArray[np.float32], float]) -> tuple[Frame, Trace]:
+        frame, gray, edges, edges_ms = detected
+        return frame, self.detector.trace_edges(edges, gray, edges_ms)
+
+    def _track(self, traced: tuple[Frame, Trace]) -> FrameResult:
+        frame, trace = traced
         started = time.perf_counter()
         tracks = self.tracker.update(frame, trace.lines)
         done = time.perf_counter()
         spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
-        latency_s = done - arrived_s
+        latency_s = done - frame.read_s
         return FrameResult(frame, trace, tracks, spent, 1e3 * latency_s, time.time_ns() - round(1e9 * latency_s))
 
 
-class _Read(NamedTuple):
-    frame: Frame
-    arrived_s: float  # by time.perf_counter()
+def open_frontend(config: RunConfig) -> LineFrontend:
+    """Detector and tracker of a run's settings, which leave the input's aside."""
+    detector = AirLine(config=config.detector, runtime=config.runtime, threads=network_threads())
+    return LineFrontend(detector, LineTracker(config.tracker))
 
 
-class _Detected(NamedTuple):
-    read: _Read
-    gray: Gray
-    edges: NDArray[np.float32]
-    edges_ms: float
-
-
-class _Traced(NamedTuple):
-    read: _Read
-    trace: Trace
-
-
-def _read(source: Source) -> Generator[_Read, None, None]:
-    for frame in source:
-        yield _Read(frame, source.arrived_s if isinstance(source, FreshFrames) else time.perf_counter())
+def network_threads() -> int:
+    """Cores for the edge network when the other stages work beside it: half of all."""
+    return max(1, cores() // 2)

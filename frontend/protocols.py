@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol
 
 from airline.trace import Trace
 from frontend.frame import Frame
@@ -33,60 +32,57 @@ class FrameResult:
     read_ns: int = 0
 
 
-@runtime_checkable
-class Source(Protocol):
-    """A stream of frames. Iterating yields frames in time order; a source is iterated once, perhaps in another thread.
+class Source:
+    """A stream of frames. A subclass needs a `name` and `__iter__`, and says what else differs from the defaults.
 
-    A source whose frames come whether or not somebody takes them says so by an attribute `live = True`.
+    It is iterated once, perhaps in another thread, and yields frames in time order.
+
+    Attributes:
+        name: short, for progress bars and file names.
+        frame_count: how many frames iteration yields at most; None where nobody knows.
+        live: whether frames come whether or not somebody takes them.
+        skipped: frames so far that could not be read.
+        dropped: frames so far for which there was no time.
+        reconnects: how often the stream was lost and came back.
+        first_stamp_ns: stamp of the first frame, from which `seek` counts; None for a source that cannot seek.
     """
 
-    @property
-    def name(self) -> str:
-        """Short name, for progress bars and file names."""
-        ...
+    if (
+        TYPE_CHECKING
+    ):  # read only for who uses a source; who writes one may have properties or attributes of these names
 
-    @property
-    def frame_count(self) -> int | None:
-        """How many frames iteration will yield at most, or None for an endless stream."""
-        ...
+        @property
+        def name(self) -> str: ...
+        @property
+        def frame_count(self) -> int | None: ...
+        @property
+        def live(self) -> bool: ...
+        @property
+        def skipped(self) -> int: ...
+        @property
+        def dropped(self) -> int: ...
+        @property
+        def reconnects(self) -> int: ...
+        @property
+        def first_stamp_ns(self) -> int | None: ...
 
-    @property
-    def skipped(self) -> int:
-        """How many frames could not be read so far."""
-        ...
+    else:
+        name = "source"
+        live = False
+        skipped = dropped = reconnects = 0
+        frame_count = first_stamp_ns = None
 
-    def __iter__(self) -> Iterator[Frame]: ...
+    def __iter__(self) -> Iterator[Frame]:
+        raise NotImplementedError
+
+    def seek(self, start_s: float) -> None:
+        """Begin iteration with the first frame at or after start_s seconds since the first; not all sources can."""
+
+    def stop(self) -> None:
+        """End an iteration that may be waiting for a frame in another thread."""
 
     def close(self) -> None:
         """Release files and devices; safe to call twice."""
-        ...
-
-
-def is_live(source: Source) -> bool:
-    """Whether the source's frames come whether or not somebody takes them."""
-    return bool(getattr(source, "live", False))
-
-
-def reconnects_of(source: Source) -> int:
-    """How often the source, or the one it selects from, was lost and came back."""
-    count = getattr(source, "reconnects", 0)
-    return count if isinstance(count, int) else 0
-
-
-def stop(source: Source) -> None:
-    """Tell a source that may be waiting for a frame, in another thread, to end its iteration; few need to know how."""
-    end = getattr(source, "stop", None)
-    if end is not None:
-        end()
-
-
-@contextmanager
-def stopping(source: Source) -> Iterator[None]:
-    """Stop the source at the end of the block, before those are waited for who wait for its next frame."""
-    try:
-        yield
-    finally:
-        stop(source)
 
 
 class Sink(Protocol):

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -238,12 +238,7 @@ def run(options: argparse.Namespace) -> int:
     watch = Endurance(max(SHORTEST, options.frames // SAMPLES))
     with tempfile.TemporaryDirectory(prefix="soak-") as temporary:
         turns = Turns(options.folder or Path(temporary), options.per_file, options.files)
-
-        def open_sinks() -> Iterator[Sink]:
-            yield watch
-            yield turns
-
-        code, summary = process(ClipSource(files, options.frames, "soak"), config, open_sinks)
+        code, summary = process(ClipSource(files, options.frames, "soak"), config, [watch, turns])
     if code not in (0, 130):
         return code
     figures = judge(watch, turns)

@@ -12,24 +12,27 @@ WAITING_LIVE = 1  # where what is read is wanted soon
 
 
 def pipelined(
-    items: Iterator[Any], *stages: Callable[[Any], Any], read_ahead: bool = True
+    items: Iterator[Any],
+    *stages: Callable[[Any], Any],
+    read_ahead: bool = True,
+    stop: Callable[[], None] = lambda: None,
 ) -> Generator[Any, None, None]:
     """The items after all stages, in order: `stages[-1](... stages[0](item))`.
 
-    Every stage has one thread, so none runs twice at once; what they do in native code without Python's lock overlaps.
-    At most `WAITING` items more than there are threads are under way (without `read_ahead`, `WAITING_LIVE`), with the
-    one that the consumer has: while it is slow, the items are not read. What a stage answers must be its own: the stage
-    takes the next item while others still work on the answer.
+    Every stage has one thread, so none runs twice at once; what they do without the GIL overlaps. At most `WAITING`
+    items more than there are threads are under way (without `read_ahead`, `WAITING_LIVE`), with the one that the
+    consumer has: while it is slow, no items are read. What a stage answers must be its own: the stage takes the next
+    item while others still work on the answer.
 
-    An error of the items or of a stage is raised where its result would be, behind all earlier results, as the same
-    exception with the traceback of where it happened; that stage and those behind it take nothing more. At the end,
-    after an error and when the generator is closed, what waits is dropped, what runs is waited for, and all threads
-    end. Reading an item must therefore return some time.
+    An error of the items or of a stage is raised where its result would be, behind all earlier results, with the
+    traceback of where it happened; that stage and those behind it take nothing more. At the end, after an error and
+    when the generator is closed, what waits is dropped, what runs is waited for, and all threads end.
 
     Args:
         items: read in a thread of their own.
         stages: at least one.
         read_ahead: False to read an item only when the first stage is ready for it, in that stage's thread.
+        stop: called at the end, so that reading does not wait for another item.
     """
 
     def read() -> Any:
@@ -40,60 +43,39 @@ def pipelined(
 
     first, *rest = stages
     steps: list[Callable[..., Any]] = [read, *stages] if read_ahead else [lambda: first(read()), *rest]
-    threads = [_Stage(step) for step in steps]
-    most = len(threads) + (WAITING if read_ahead else WAITING_LIVE)
+    over = [False] * len(steps)
+    threads = [ThreadPoolExecutor(1, "stage") for _ in steps]
+
+    def run(step: int, *before: Future[Any]) -> Any:
+        """One step on what the step before answers; the error of that one is its own."""
+        if over[step]:
+            raise _End
+        try:
+            return steps[step](*[future.result() for future in before])
+        except BaseException:
+            over[step] = True
+            raise
+
+    most = len(steps) + (WAITING if read_ahead else WAITING_LIVE)
     under_way: deque[Future[Any]] = deque()
     try:
         while True:
             while len(under_way) < most:
-                under_way.append(_submit(threads))
+                future = threads[0].submit(run, 0)
+                for step in range(1, len(steps)):
+                    future = threads[step].submit(run, step, future)
+                under_way.append(future)
             yield under_way.popleft().result()
     except _End:
         return
     finally:
+        stop()
+        over[:] = [True] * len(steps)
         for thread in threads:
-            thread.stop()
+            thread.shutdown(wait=False, cancel_futures=True)
         for thread in threads:
-            thread.join()
+            thread.shutdown()
 
 
 class _End(Exception):  # noqa: N818  not an error
     """There are no more items."""
-
-
-class _Stage:
-    """A function in a thread of its own. After its first error it is not called again."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self._pool = ThreadPoolExecutor(1, "stage")
-        self._over = False
-
-    def submit(self, *before: Future[Any]) -> Future[Any]:
-        """Call the function when it is its turn, with what the stage before answers; that one's error is its own."""
-        return self._pool.submit(self._run, *before)
-
-    def stop(self) -> None:
-        self._over = True
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def join(self) -> None:
-        self._pool.shutdown()
-
-    def _run(self, *before: Future[Any]) -> Any:
-        if self._over:
-            raise _End
-        try:
-            return self._function(*[future.result() for future in before])
-        except BaseException:
-            self._over = True
-            raise
-
-
-def _submit(stages: list[_Stage]) -> Future[Any]:
-    """Send one item through all stages; the future of the last one's answer."""
-    first, *rest = stages
-    future = first.submit()
-    for stage in rest:
-        future = stage.submit(future)
-    return future

@@ -15,6 +15,7 @@ from itertools import islice
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
+from frontend.protocols import Source
 from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
 from logs.camera_info import camera_from_log
@@ -37,7 +38,7 @@ _KEY_FRAME_DISTANCE = 1000  # messages
 Picture = RawImage | EncodedImage | VideoPacket
 
 
-class LogImageSource:
+class LogImageSource(Source):
     """Images of one topic of a log: ROS 2, ROS 1 and Foxglove messages, raw, compressed or H.264 and H.265 video.
 
     Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits with a scale that stays steady

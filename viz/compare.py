@@ -133,15 +133,12 @@ def open_input(options: argparse.Namespace) -> Source | None:
     if options.input is None and is_track_file(options.a) and is_track_file(options.b):
         return None
     from frontend.cli.settings import load
-    from frontend.cli.wiring import open_source_of
-    from frontend.sources.selection import select_frames
+    from frontend.cli.wiring import open_input as open_frames
 
-    source = open_source_of(options.input, load(None, {}))
-    try:
-        return select_frames(source, start_s=options.start, end_s=options.end, max_frames=options.max_frames)
-    except AirLineError:
-        source.close()
-        raise
+    chosen = {"start": options.start, "end": options.end, "max_frames": options.max_frames}
+    return open_frames(
+        options.input, load(None, {"input": {name: value for name, value in chosen.items() if value is not None}})
+    )
 
 
 def open_stream(save: Path | None, name: str, closed: ExitStack) -> rr.RecordingStream:

@@ -1,98 +1,27 @@
-"""Frames with a calibrated camera, as they are or with straight lines made straight."""
+"""Images in which straight things are straight: lens distortion removed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError, InputError
-from frontend.camera.calibration import fit_camera
+from airline.errors import InputError
 from frontend.camera.model import CameraModel
-from frontend.frame import Frame
-from frontend.protocols import Source
 from frontend.sources.opencv import Image
-from frontend.sources.selection import SeekableSource
-from frontend.sources.wrapped import WrappedSource
 
 Array = NDArray[np.float64]
 
-WIDEST_DEG = 60.0
-"""How far off the axis an undistorted image reaches at most; a pinhole stretches what lies there fourfold."""
-
+WIDEST_DEG = 60.0  # off the axis, that an undistorted image reaches at most; a pinhole stretches it fourfold there
 _BORDER_POINTS = 200  # per side
 _COMPASS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
 
 
-def with_camera(source: Source, camera: CameraModel | None, *, undistort: bool = False) -> Source:
-    """A source whose frames carry a camera.
-
-    Args:
-        source: the stream; closing the result closes it. The result can seek if it can.
-        camera: the camera of the frames, scaled to their size; None to keep what they carry themselves.
-        undistort: remap every image to that of `undistorted_camera`, which the frame carries then.
-
-    Raises:
-        InputError: while iterating, when the camera is for images of another shape.
-        ConfigError: while iterating, when there is no camera to undistort with.
-    """
-    if camera is None and not undistort:
-        return source
-    kind = _SeekableCalibrated if isinstance(source, SeekableSource) else _Calibrated
-    return kind(source, camera, undistort)
-
-
-class _Calibrated(WrappedSource):
-    def __init__(self, source: Source, camera: CameraModel | None, undistort: bool) -> None:
-        super().__init__(source)
-        self._camera = camera
-        self._undistort = undistort
-
-    def __iter__(self) -> Iterator[Frame]:
-        remap: Undistorter | None = None
-        fitted: CameraModel | None = None
-        for frame in self._source:
-            height, width = frame.image.shape[:2]
-            camera = self._camera or frame.camera
-            if camera is None:
-                raise ConfigError(
-                    f"{self.name} brings no camera calibration to undistort with: give one with --calib FILE"
-                )
-            if fitted is None or self._camera is None or (fitted.width, fitted.height) != (width, height):
-                fitted = fit_camera(camera, width, height)
-            if not self._undistort:
-                yield replace(frame, camera=fitted)
-                continue
-            if remap is None or not remap.fits(fitted):
-                remap = Undistorter(fitted)
-            yield replace(frame, image=remap(frame.image), camera=remap.camera)
-
-
-class _SeekableCalibrated(_Calibrated):
-    _source: SeekableSource
-
-    @property
-    def first_stamp_ns(self) -> int:
-        return self._source.first_stamp_ns
-
-    def seek(self, start_s: float) -> None:
-        self._source.seek(start_s)
-
-
 class Undistorter:
-    """Remaps the images of one camera to those of a pinhole without distortion.
-
-    Args:
-        source: the camera that takes the images.
-
-    Raises:
-        InputError: see `undistorted_camera`.
-    """
+    """Remaps the images of one camera to those of `undistorted_camera`, with the same errors."""
 
     def __init__(self, source: CameraModel) -> None:
         self._source = source
@@ -117,9 +46,8 @@ class Undistorter:
 def undistorted_camera(camera: CameraModel) -> CameraModel:
     """The pinhole camera without distortion whose image a camera's image fills without a border.
 
-    It has the same size and the same fx / fy, and sees as much as these allow, but nothing farther off the axis than
-    `WIDEST_DEG`: the image of a fisheye that sees a half-space would be infinitely large. Its principal point is where
-    the largest such rectangle puts it.
+    It has the same size and fx / fy, and sees as much as these allow, but nothing farther off the axis than
+    `WIDEST_DEG`: the image of a fisheye that sees a half-space would be infinitely large.
 
     Raises:
         InputError: the camera's model has no inverse in the middle of its image.

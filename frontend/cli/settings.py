@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -13,8 +13,6 @@ from msgspec import Meta
 from airline.config import DetectorConfig, Preset, Runtime, preset
 from airline.errors import ConfigError, InputError
 from frontend.tracking.config import TrackerConfig
-
-T = TypeVar("T")
 
 
 class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -58,15 +56,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     @property
     def size(self) -> tuple[int, int | None] | None:
         """`resize` as (width, height), px; height is None to keep the aspect."""
-        if self.resize is None:
-            return None
-        width, separator, height = self.resize.lower().partition("x")
-        try:
-            return int(width), int(height) if separator else None
-        except ValueError:
-            raise ConfigError(
-                f"cannot resize to '{self.resize}': give WIDTHxHEIGHT or WIDTH, px, e.g. 640x480"
-            ) from None
+        return None if self.resize is None else parse_size(self.resize)
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -99,6 +89,15 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     recording: RecordingConfig = RecordingConfig()
 
 
+def parse_size(text: str) -> tuple[int, int | None]:
+    """(width, height), px, of "WIDTHxHEIGHT"; the height of "WIDTH" is None. Raises ConfigError for anything else."""
+    width, separator, height = text.lower().partition("x")
+    try:
+        return int(width), int(height) if separator else None
+    except ValueError:
+        raise ConfigError(f"cannot resize to '{text}': give WIDTHxHEIGHT or WIDTH, px, e.g. 640x480") from None
+
+
 def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:
     """Settings from a preset, a TOML file over it and flags over both.
 
@@ -121,7 +120,11 @@ def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:
     chosen = _merge(stored, flags)
     name = chosen.get("preset", "default")
     base = {"detector": msgspec.to_builtins(preset(str(name)))}
-    return _convert(_merge(base, chosen), RunConfig)
+    try:
+        return msgspec.convert(_merge(base, chosen), RunConfig)
+    except msgspec.ValidationError as error:
+        what, _, where = str(error).partition(" - at `$.")
+        raise ConfigError(f"setting {where.rstrip('`')}: {what}; --dump-config prints all settings") from None
 
 
 def dump(config: RunConfig) -> str:
@@ -131,19 +134,10 @@ def dump(config: RunConfig) -> str:
     return tomli_w.dumps(_without_none(msgspec.to_builtins(config)))
 
 
-def _convert(values: dict[str, Any], kind: type[T]) -> T:
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        what, _, where = str(error).partition(" - at `$.")
-        raise ConfigError(f"setting {where.rstrip('`')}: {what}; --dump-config prints all settings") from None
-
-
 def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
+    if not math.isfinite(float(text)):
         raise ConfigError(f"settings must be finite numbers, not {text}")
-    return value
+    return float(text)
 
 
 def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 EXIT_INTERRUPTED = 130
 _NAMES = ("SIGTERM", "SIGHUP")  # of a service manager or `kill`; of a terminal or an ssh session that is closed
@@ -23,10 +24,9 @@ class Terminated(KeyboardInterrupt):
 class _Interrupts:
     """What the handlers of a process and `uninterrupted` know of each other."""
 
-    def __init__(self) -> None:
-        self.told = False  # to end, for the first time or again
-        self.busy = False
-        self.held: KeyboardInterrupt | None = None
+    told = False  # to end, for the first time or again
+    busy = False
+    held: KeyboardInterrupt | None = None
 
     def take(self, interrupt: KeyboardInterrupt) -> None:
         """Raise the interrupt, or hold it if it is the first and comes within `uninterrupted`."""
@@ -48,30 +48,27 @@ def ending_like_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
-    ours = [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+    usual: dict[int, Any] = {getattr(signal, name): signal.SIG_DFL for name in _NAMES if hasattr(signal, name)}
+    usual[signal.SIGINT] = signal.default_int_handler
+    ours = [number for number, handler in usual.items() if signal.getsignal(number) == handler]
 
     def end(number: int, frame: FrameType | None) -> None:
-        for each in ours:
-            signal.signal(each, signal.SIG_IGN)
+        if number == signal.SIGINT:
+            _interrupts.take(KeyboardInterrupt())
+            return
+        for other in ours:
+            if other != signal.SIGINT:
+                signal.signal(other, signal.SIG_IGN)
         _interrupts.take(Terminated(number))
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        _interrupts.take(KeyboardInterrupt())
-
-    ctrl_c = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     _interrupts.told = False
     for number in ours:
         signal.signal(number, end)
-    if ctrl_c:
-        signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     finally:
-        if ctrl_c:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
         for number in ours:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, usual[number])
 
 
 @contextmanager

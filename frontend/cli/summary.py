@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from frontend.protocols import FrameResult
+from frontend.protocols import FrameResult, Source
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 WINDOW = 10_000  # frames over which medians are taken
-TOGETHER = 100  # frames whose tracks are counted at once
 
 
 @dataclass(frozen=True)
@@ -58,18 +55,21 @@ class Summary:
         """The figures as a table for the terminal."""
         from rich.table import Table
 
-        table = Table(show_header=False)
         missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames, "reconnects": self.reconnects}
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
-        table.add_row("frames", f"{self.frames} ({notes})" if notes else f"{self.frames}")
-        table.add_row("frames/s", f"{self.fps:.1f}")
-        for stage, spent in self.stage_ms.items():
-            table.add_row(f"{stage}, median ms", f"{spent:.2f}")
-        table.add_row("latency, median ms", f"{self.latency_ms:.2f}")
-        table.add_row("lines per frame", f"{self.lines_per_frame:.1f}")
-        table.add_row("live tracks per frame", f"{self.live_tracks_per_frame:.1f}")
-        table.add_row("tracks", f"{self.tracks}")
-        table.add_row("median track length, frames", f"{self.track_length_median:g}")
+        rows = {
+            "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
+            "frames/s": f"{self.fps:.1f}",
+            **{f"{stage}, median ms": f"{spent:.2f}" for stage, spent in self.stage_ms.items()},
+            "latency, median ms": f"{self.latency_ms:.2f}",
+            "lines per frame": f"{self.lines_per_frame:.1f}",
+            "live tracks per frame": f"{self.live_tracks_per_frame:.1f}",
+            "tracks": f"{self.tracks}",
+            "median track length, frames": f"{self.track_length_median:g}",
+        }
+        table = Table(show_header=False)
+        for row in rows.items():
+            table.add_row(*row)
         return table
 
 
@@ -78,61 +78,49 @@ class SummaryCounter:
 
     def __init__(self, confirm_hits: int) -> None:
         """Count tracks as confirmed from `confirm_hits` frames on."""
+        self.started = False
         self._confirm_hits = confirm_hits
-        self.start()
+        self._begin_s = self._latest_s = time.perf_counter()
         self._frames = self._lines = self._live = 0
         self._stages: dict[str, deque[float]] = {}
         self._latencies: deque[float] = deque(maxlen=WINDOW)
         self._lengths: Counter[int] = Counter()
-        self._hits: list[NDArray[np.int32]] = []  # not yet in there
 
     def start(self) -> None:
-        """Start the clock anew: all before was preparation."""
-        self._started = self._latest = time.perf_counter()
+        """Start the clock: all before was preparation."""
+        self.started = True
+        self._begin_s = self._latest_s = time.perf_counter()
 
-    def add(self, result: FrameResult) -> None:
-        """Count one frame."""
-        self._latest = time.perf_counter()  # not the time of the summary: a viewer that is gone blocks the closing
+    def add(self, result: FrameResult, sinks_ms: float) -> None:
+        """Count one frame, and the milliseconds that the sinks took for it."""
+        self._latest_s = time.perf_counter()  # not the time of the summary: a viewer that is gone blocks the closing
         self._frames += 1
         self._lines += len(result.trace.lines)
         self._live += len(result.tracks)
-        self.add_time(result.stage_ms)
         self._latencies.append(result.latency_ms)
-        self._hits.append(result.tracks.hits)
-        if len(self._hits) >= TOGETHER:
-            self._count_lengths()
-
-    def _count_lengths(self) -> None:
-        """Every observation moves its track from length h - 1 to length h, so no track needs to be remembered."""
-        if self._hits:
-            for hits, count in zip(*np.unique_counts(np.concatenate(self._hits)), strict=True):
-                self._lengths[int(hits)] += int(count)
-                self._lengths[int(hits) - 1] -= int(count)
-            self._hits.clear()
-
-    def add_time(self, stage_ms: Mapping[str, float]) -> None:
-        """Count milliseconds of stages, once per frame and stage."""
-        for stage, spent in stage_ms.items():
+        for stage, spent in {**result.stage_ms, "sinks": sinks_ms}.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
+        # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
+        for hits, count in Counter(result.tracks.hits.tolist()).items():
+            self._lengths[hits] += count
+            self._lengths[hits - 1] -= count
 
-    def summary(self, skipped: int, dropped: int = 0, reconnects: int = 0) -> Summary:
-        """The figures so far, with the numbers of frames that could not be read and that there was no time for,
-        and of reconnects."""
-        self._count_lengths()
-        elapsed = self._latest - self._started
+    def summary(self, source: Source) -> Summary:
+        """The figures so far, with what the source counted."""
+        elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
         lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
         return Summary(
             frames=self._frames,
-            fps=round(self._frames / elapsed, 2) if elapsed > 0 else 0.0,
+            fps=round(self._frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
             stage_ms={stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()},
             latency_ms=round(float(np.median(self._latencies)), 3) if self._latencies else 0.0,
             lines_per_frame=round(self._lines / frames, 2),
             live_tracks_per_frame=round(self._live / frames, 2),
             tracks=sum(lengths.values()),
             track_length_median=float(np.median(sizes)),
-            skipped_frames=skipped,
-            dropped_frames=dropped,
-            reconnects=reconnects,
+            skipped_frames=source.skipped,
+            dropped_frames=source.dropped,
+            reconnects=source.reconnects,
         )

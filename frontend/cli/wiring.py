@@ -1,25 +1,41 @@
-"""What the settings of a run stand for, source and sinks: the one file of `frontend` that knows `logs` and `viz`."""
+"""What flags and settings stand for: source, sinks, viewers. The one file of `frontend` that knows `logs` and `viz`."""
 
 from __future__ import annotations
 
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.errors import AirLineError
+from airline.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import argparse
 
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink, Source
     from frontend.tracks import LineTracks
+    from logs.live.foxglove import FoxgloveServer
+    from logs.live.zeromq import ZmqPublisher
+    from viz.viewer import WebViewer
+
+log = logging.getLogger(__name__)
 
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
-    """The frames that the input, the camera and the frame settings stand for."""
-    from frontend.camera.undistort import with_camera
-    from frontend.protocols import is_live
-    from frontend.sources.selection import select_frames
+    """The frames that the input stands for, with their camera, as the settings want them.
+
+    Args:
+        spec: a log, or whatever `frontend.open_source` takes; None for the built-in clip.
+        config: the settings; in series nothing is dropped of a live source.
+    """
+    from frontend.sources import open_source
+    from frontend.sources.pace import FreshFrames, RealtimeSource
+    from frontend.sources.wrapped import CalibratedFrames, SelectedFrames
+    from logs.files import is_log
 
     chosen = config.input
     camera = None
@@ -27,60 +43,56 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         from frontend.camera.calibration import read_calibration
 
         camera = read_calibration(chosen.calib)
-    opened = open_source_of(spec, config)
-    try:
-        selected = select_frames(
-            with_camera(opened, camera, undistort=chosen.undistort),
-            start_s=chosen.start,
-            end_s=chosen.end,
-            stride=chosen.stride,
-            max_frames=chosen.max_frames,
-            resize=chosen.size,
-        )
-    except AirLineError:
-        opened.close()
-        raise
-    if not chosen.realtime or is_live(selected):
-        return selected
-    from frontend.sources.realtime import RealtimeSource
-
-    return RealtimeSource(selected, ahead=spec is None)  # the built-in clip takes longer to render than to play
-
-
-def open_source_of(spec: str | None, config: RunConfig) -> Source:
-    """The input as it is: the built-in clip, a log, or whatever `open_source` takes."""
-    from frontend.sources import open_source
-    from logs.files import is_log
-
+    source: Source
     if spec is None:
         from frontend.sources.scene import SceneSource
 
-        return SceneSource()
-    if is_log(spec):
+        source = SceneSource()
+    elif is_log(spec):
         from logs import open_images
 
-        return open_images(spec, config.input.topic, time_source=config.input.time_source)
-    return open_source(spec, topic=config.input.topic, fps=config.input.fps, reconnect_s=config.input.reconnect)
-
-
-def open_recording(
-    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
-) -> Sink:
-    """The Rerun recording, into a file, a viewer or both."""
-    from viz.rerun_sink import RerunSink
-
-    chosen = config.recording
-    return RerunSink(
-        save=save,
-        connect=viewer,
-        name=name,
-        image=chosen.image,
-        video=video,
-        blueprint=chosen.blueprint,
-        every=chosen.every,
-        descriptor_every=chosen.descriptor_every,
-        jpeg_quality=chosen.jpeg_quality,
+        source = open_images(spec, chosen.topic, time_source=chosen.time_source)
+    elif chosen.topic is not None:
+        raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
+    else:
+        source = open_source(spec, fps=chosen.fps, reconnect_s=chosen.reconnect)
+    if camera is not None or chosen.undistort:
+        source = CalibratedFrames(source, camera, undistort=chosen.undistort)
+    source = SelectedFrames(
+        source,
+        start_s=chosen.start,
+        end_s=chosen.end,
+        stride=chosen.stride,
+        max_frames=chosen.max_frames,
+        resize=chosen.size,
     )
+    if chosen.realtime and not source.live:
+        source = RealtimeSource(source, ahead=spec is None)  # the built-in clip takes longer to render than to play
+    return FreshFrames(source, chosen.max_latency) if source.live and not config.serial else source
+
+
+def list_topics(spec: str | None) -> str:
+    """The cameras of a log, as a table; raises InputError where there is none."""
+    from logs.files import open_log
+    from logs.listing import as_text, camera_topics
+    from logs.topics import choose_topic
+
+    if spec is None:
+        raise InputError("--list-topics needs a log: name an .mcap file, a .bag file or a bag folder")
+    with closing(open_log(spec)) as file:
+        rows = camera_topics(file)
+        if not rows:
+            choose_topic(file.topics, None)  # says what the log holds instead
+        return as_text(rows)
+
+
+def track_files(specs: list[str], *, overwrite: bool) -> dict[str, Path]:
+    """Where outputs for tracked lines go, by their names; raises InputError for one that cannot be made."""
+    from logs.sinks.open import check, kind_and_path
+
+    for spec in specs:
+        check(spec, overwrite=overwrite)
+    return {spec: kind_and_path(spec)[1] for spec in specs}
 
 
 def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
@@ -95,3 +107,85 @@ def read_tracks(path: Path) -> Iterator[LineTracks]:
     from logs import read_tracks
 
     return read_tracks(path)
+
+
+def open_publisher(address: str, name: str, *, labels: bool) -> ZmqPublisher | FoxgloveServer:
+    """A sink that sends tracked lines to other processes; see `logs.live.address`."""
+    from logs.live.address import open_publisher
+
+    return open_publisher(address, name, labels=labels)
+
+
+def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
+    """The input's file if it stands for the frames in the recording."""
+    if config.recording.image != "video":
+        return None
+    if config.input.resize is not None or config.input.undistort:
+        raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
+    if spec is None:
+        raise ConfigError("--log-image video needs a video file as its input: name one, or use --log-image jpeg")
+    return Path(spec)
+
+
+def open_recording(
+    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
+) -> Sink:
+    """The Rerun recording, into a file, a viewer or both."""
+    from msgspec.structs import asdict
+
+    from viz.rerun_sink import RerunSink
+
+    return RerunSink(save=save, connect=viewer, name=name, video=video, **asdict(config.recording))
+
+
+def has_display() -> bool:
+    """Whether a viewer window could open here."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def where_to_record(options: argparse.Namespace, name: str, server: WebViewer | None) -> tuple[Path | None, str | None]:
+    """The file to save and the address of a viewer: the one that was asked for, or a window where one can open.
+
+    Without either the recording goes to a file named after the input, unless --out or --publish says where results go.
+    """
+    elsewhere = options.out or options.publish
+    if options.connect is not None or server is not None:
+        return options.save, options.connect if server is None else server.stream
+    if options.spawn or (options.save is None and not options.headless and not options.serve and has_display()):
+        from viz.viewer import open_viewer
+
+        viewer = open_viewer()
+        if viewer is not None:
+            return options.save, viewer
+        saved = options.save is not None or elsewhere
+        log.warning("no viewer window could be opened%s", "" if saved else f": saving {name}.rrd instead")
+    if options.save is not None:
+        return options.save, None
+    return (None if elsewhere else Path(f"{name}.rrd")), None
+
+
+@contextmanager
+def web_viewer() -> Iterator[WebViewer | None]:
+    """A viewer for browsers, while the block runs; None, and a warning, where it does not start."""
+    from viz.viewer import serve
+
+    viewer = serve()
+    if viewer is None:
+        log.warning("no web viewer could be started: going on without it")
+        yield None
+        return
+    print(f"watch at {viewer.url}", f"or with: rerun {viewer.stream}", sep="\n", flush=True)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+def wait_for_interrupt(viewer: WebViewer) -> None:
+    """Keep the web viewer up until Ctrl-C, or until it ends by itself."""
+    try:
+        print(f"serving at {viewer.url} until Ctrl-C", flush=True)
+        viewer.process.wait()
+        log.warning("the web viewer has ended")
+    except KeyboardInterrupt:
+        pass

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
-from frontend.sources.layouts import list_images
+from frontend.sources.folder import list_images
 
 FRAMES_PER_SECOND = 30
 _CORNER = 0.5  # px: the labels have (0, 0) at the corner of the top-left pixel, we at its centre

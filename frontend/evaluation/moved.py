@@ -18,7 +18,7 @@ from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
-from frontend.sources.layouts import list_images
+from frontend.sources.folder import list_images
 from frontend.sources.opencv import decode_image
 
 FRAMES_PER_SECOND = 30

@@ -13,7 +13,7 @@ from airline.errors import InputError, from_extra
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.evaluation.metrics import Figures, rounded
 from frontend.frame import Frame
-from frontend.sources.layouts import list_images
+from frontend.sources.folder import list_images
 
 with from_extra("evaluate"):
     from scipy.optimize import least_squares

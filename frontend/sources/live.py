@@ -12,19 +12,17 @@ import cv2
 
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
+from frontend.protocols import Source
 from frontend.sources.opencv import Image, as_frame_image, quiet
 
 log = logging.getLogger(__name__)
 
-RECONNECT_S = 60.0
 _TIMEOUT_MS = 5000
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 5.0
 
 
-class LiveSource:
-    """Frames of a camera or a stream, stamped with the host's wall clock when they arrive.
-
-    The clock is read once and then advanced by the monotonic clock, so that stamps never step back.
+class LiveSource(Source):
+    """Frames of a camera or a stream, stamped with the host's wall clock when they arrive; stamps never step back.
 
     A stream that drops, or sends nothing for five seconds, is opened again, with growing waits in between. Its frames
     go on with the next number, and the gap shows in the stamps, at which the tracker begins anew.
@@ -33,18 +31,18 @@ class LiveSource:
         device: a camera's number, or a URL (rtsp://, http://, udp://, ...).
         reconnect_s: for how many seconds after its last frame a stream is tried; 0 takes its end as the end.
 
-    Attributes:
-        reconnects: how often a stream has come back.
-
     Raises:
         InputError: the camera or stream cannot be opened; while iterating, it opened but sends nothing, or was lost.
         ConfigError: no such time.
     """
 
-    def __init__(self, device: int | str, reconnect_s: float = RECONNECT_S) -> None:
+    name: str
+    live: bool
+    reconnects = 0
+
+    def __init__(self, device: int | str, reconnect_s: float = 60.0) -> None:
         if not reconnect_s >= 0:
             raise ConfigError(f"a stream can be reconnected for 0 or more seconds, not {reconnect_s}")
-        self.reconnects = 0
         self._device = device
         self._reconnect_s = reconnect_s
         # A URL may carry a password, which belongs in no message.
@@ -53,22 +51,11 @@ class LiveSource:
         if not self._capture.isOpened():
             hint = "is it connected and free?" if isinstance(device, int) else "is the address right and reachable?"
             raise InputError(f"cannot open {self._title}: {hint}")
+        # a recording behind a URL waits for who reads it
         self.live = not 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
-        """False for a recording behind a URL, which waits for who reads it."""
+        self.name = re.sub(r"[^\w.]+", "-", self._title.split("?")[0].split("://")[-1]).strip("-.") or "stream"
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._stopped = threading.Event()
-
-    @property
-    def name(self) -> str:
-        return re.sub(r"[^\w.]+", "-", self._title.split("?")[0].split("://")[-1]).strip("-.") or "stream"
-
-    @property
-    def frame_count(self) -> int | None:
-        return None
-
-    @property
-    def skipped(self) -> int:
-        return 0
 
     def __iter__(self) -> Iterator[Frame]:
         index = 0
@@ -85,7 +72,6 @@ class LiveSource:
             raise InputError(f"{self._title} opened but sends no picture: does another program use it?")
 
     def stop(self) -> None:
-        """End the iteration, whose thread may be waiting for a stream to come back."""
         self._stopped.set()
 
     def close(self) -> None:
@@ -140,8 +126,7 @@ def _open(device: int | str) -> cv2.VideoCapture:
 
 
 def _open_camera(number: int) -> cv2.VideoCapture:
-    # OpenCV reads 100, 200, ... as the number of a driver.
-    return cv2.VideoCapture(number) if 0 <= number < 100 else cv2.VideoCapture()
+    return cv2.VideoCapture(number) if number < 100 else cv2.VideoCapture()  # which reads 100, 200, ... as drivers
 
 
 def _open_stream(url: str) -> cv2.VideoCapture:

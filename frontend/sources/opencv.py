@@ -38,8 +38,7 @@ def quiet() -> Iterator[None]:
 def as_frame_image(pixels: NDArray[Any]) -> Image | None:
     """The array a `Frame` holds: (H, W) or (H, W, 3) BGR, uint8 or uint16, C-contiguous, without alpha.
 
-    Returns:
-        The image, without a copy where none is needed; None for other depths (float, signed) and empty images.
+    None for other depths (float, signed) and for empty images.
     """
     if pixels.dtype not in (np.uint8, np.uint16) or not pixels.size:
         return None
@@ -55,14 +54,11 @@ def as_frame_image(pixels: NDArray[Any]) -> Image | None:
 def decode_image(data: bytes) -> Image | None:
     """Decode an image file held in memory (PNG, JPEG, BMP, TIFF, WebP, PNM), keeping grey and 16 bits as they are.
 
-    Returns:
-        See `as_frame_image`; None for bytes that are no image, or a cut or damaged one.
+    None for bytes that are no image, or a cut or damaged one.
     """
-    if not data:
-        return None
     try:
         with quiet():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
+    except cv2.error:  # of no bytes, too
         return None
     return None if pixels is None else as_frame_image(pixels)

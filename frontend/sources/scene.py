@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from airline.scenes import RenderedClip, RenderedView, render_clip
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
+from frontend.protocols import Source
 
 
 def frame_of(index: int, view: RenderedView) -> Frame:
@@ -16,31 +17,17 @@ def frame_of(index: int, view: RenderedView) -> Frame:
     return Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
 
 
-class SceneSource:
-    """Frames of a rendered sequence, with its camera."""
+class SceneSource(Source):
+    """Frames of a rendered clip; the default is a hand-held walk of ten seconds along a corridor."""
 
-    def __init__(self, sequence: RenderedClip | None = None) -> None:
-        """Stream a sequence; the default is a hand-held walk of ten seconds along a corridor."""
-        self._sequence = sequence or RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
+    name: str
+    frame_count: int
 
-    @property
-    def name(self) -> str:
-        """Short name, for progress bars and file names."""
-        return f"{self._sequence.kind}-{self._sequence.motion}"
-
-    @property
-    def frame_count(self) -> int:
-        """How many frames the sequence has."""
-        return len(self._sequence)
-
-    @property
-    def skipped(self) -> int:
-        """Always 0: nothing can be unreadable."""
-        return 0
+    def __init__(self, clip: RenderedClip | None = None) -> None:
+        self._clip = clip or RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
+        self.name = f"{self._clip.kind}-{self._clip.motion}"
+        self.frame_count = len(self._clip)
 
     def __iter__(self) -> Iterator[Frame]:
-        for index, view in enumerate(render_clip(self._sequence, workers=2)):
+        for index, view in enumerate(render_clip(self._clip, workers=2)):
             yield frame_of(index, view)
-
-    def close(self) -> None:
-        """Nothing to release."""

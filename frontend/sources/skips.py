@@ -9,11 +9,7 @@ _NAMED = 5  # reasons in a warning
 
 
 class Skips:
-    """Frames that could not be read: how many, why, and which was the first.
-
-    Attributes:
-        reasons: frames by reason, where reasons were given.
-    """
+    """Frames that could not be read: how many, which was the first, and `reasons` with counts where some were given."""
 
     def __init__(self, source: str) -> None:
         self.count = 0

@@ -12,6 +12,7 @@ import cv2
 
 from airline.errors import InputError
 from frontend.frame import Frame
+from frontend.protocols import Source
 from frontend.sources.opencv import Image, as_frame_image, quiet
 from frontend.sources.skips import Skips
 
@@ -25,23 +26,23 @@ _SPARE_READS = 16
 _TEXT_CODEC = int.from_bytes(b"ansi", "little")
 
 
-class VideoSource:
+class VideoSource(Source):
     """Frames of a video file, by OpenCV's FFmpeg.
 
     `Frame.stamp_ns` counts from the first readable frame and follows the container's times; where it has none, its
     frame rate. A damaged frame is skipped and keeps its number; a cut file yields what is readable.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file is missing, no video, or has no readable frame.
     """
 
+    name: str
+    frame_count: int | None
     first_stamp_ns = 0
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
+        self.name = self._path.stem
         self._skips = Skips(self.name)
         self._capture = _open(self._path)
         self._position = 0  # frames passed, damaged ones included
@@ -49,7 +50,7 @@ class VideoSource:
         self._last: tuple[int, int] | None = None  # index and stamp of the latest frame
         self._start_ns = 0
         stated = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._stated = int(stated) if 0 < stated < 1e9 else None
+        self.frame_count = int(stated) if 0 < stated < 1e9 else None  # what the container says
         fps = self._capture.get(cv2.CAP_PROP_FPS)
         self._fps = fps if math.isfinite(fps) and 0 < fps < 1e4 else _DEFAULT_FPS
         is_text = int(self._capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT_CODEC
@@ -60,23 +61,11 @@ class VideoSource:
         self._origin_ms, self._first_image = first
 
     @property
-    def name(self) -> str:
-        return self._path.stem
-
-    @property
-    def frame_count(self) -> int | None:
-        """The number that the container states, None where it states none."""
-        return self._stated
-
-    @property
     def skipped(self) -> int:
         return self._skips.count
 
     def seek(self, start_s: float) -> None:
-        """Begin iteration with the first frame at or after start_s seconds, without decoding all before it.
-
-        Behind a seek `Frame.index` is the time multiplied by the frame rate: exact for a constant rate.
-        """
+        """See `Source`. Behind it `Frame.index` is the time multiplied by the frame rate: exact for a constant rate."""
         self._start_ns = round(start_s * 1e9)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -96,7 +85,7 @@ class VideoSource:
 
     def _read(self) -> tuple[float, Image] | None:
         """The next readable frame and its container time in ms; failed reads before it were damaged frames."""
-        left = max((self._stated or 0) - self._position, 0) + _SPARE_READS
+        left = max((self.frame_count or 0) - self._position, 0) + _SPARE_READS
         for failed in range(min(left, _MAX_FAILED_READS)):
             found = self._try_read()
             if found is not None:
@@ -124,10 +113,9 @@ class VideoSource:
         return Frame(index, stamp, image)
 
     def _read_near(self, start_ns: int) -> tuple[float, Image] | None:
-        """A frame at or shortly before start_ns.
+        """A frame at or shortly before start_ns, in the last resort the first.
 
-        OpenCV computes a seek's target with the mean frame rate, which misses where the rate varies or frames are
-        damaged; so step back until a frame at or before start_ns is found, in the last resort the first.
+        OpenCV seeks by the mean frame rate, which misses where the rate varies or frames are damaged.
         """
         back_ms = 0.0
         while (target_ms := start_ns / 1e6 - back_ms) > 0:
@@ -145,10 +133,10 @@ class VideoSource:
     def _count_lost_tail(self) -> None:
         """Count the frames that the container states behind the last readable one.
 
-        Beyond a slack, as trimmed files count hidden frames; and only where time is missing too, as some containers
+        With a slack, for trimmed files count hidden frames, and only where time is missing too, for some containers
         state their duration times the highest frame rate.
         """
-        stated = self._stated or 0
+        stated = self.frame_count or 0
         seconds = 0.0 if self._last is None else self._last[1] / 1e9
         lost = min(stated - self._position, round(stated - 1 - seconds * self._fps))
         if lost > 1 + 0.02 * stated:

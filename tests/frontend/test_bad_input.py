@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from mcap.writer import Writer
 
 from tests.helpers.command import EVERY_FRAME, command, recorded
 
-DATA = Path(__file__).parents[3] / "shared" / "data"
 FRAMES = 8
 EARLIER = b"an earlier recording"
 
@@ -64,9 +64,9 @@ def write_log(path: Path, **schemas: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["missing.mp4", "missing", "missing/*.png", "missing.mcap", "missing.png", ""])
+@pytest.mark.parametrize("name", ["missing.mp4", "missing", "missing/*.png", "missing.mcap", "missing.png", "", "98"])
 def test_missing_input(desk: Path, name: str) -> None:
-    assert (name or "video file") in refuse(name)
+    assert {"": "video file", "98": "camera 98"}.get(name, name) in refuse(name)
 
 
 @pytest.mark.parametrize("content", [b"", b"hello\n" * 99, bytes(9999), np.random.default_rng(0).bytes(9999)])
@@ -78,15 +78,10 @@ def test_file_that_is_no_input(desk: Path, name: str, content: bytes) -> None:
 
 def test_folder_without_images(desk: Path) -> None:
     (desk / "empty").mkdir()
-    assert "empty" in refuse("empty")
-    (desk / "empty" / "notes.txt").write_text("no image")
-    assert "empty" in refuse("empty")
-    (desk / "empty" / "0.png").write_bytes(b"no image either")
-    assert "0.png" in refuse("empty")
-
-
-def test_no_such_camera(desk: Path) -> None:
-    assert "camera 98" in refuse("98")
+    for name, content, hint in (("notes.txt", b"no image", "empty"), ("0.png", b"no image either", "0.png")):
+        assert "empty" in refuse("empty")
+        (desk / "empty" / name).write_bytes(content)
+        assert hint in refuse("empty")
 
 
 def test_video_cut_before_its_index(desk: Path, clip: Path) -> None:
@@ -95,140 +90,83 @@ def test_video_cut_before_its_index(desk: Path, clip: Path) -> None:
     assert "cut.mp4" in refuse("cut.mp4")
 
 
-def test_log_without_a_camera(desk: Path) -> None:
+def test_log_without_a_picture(desk: Path) -> None:
     write_log(desk / "drive.mcap", scan="foxglove.LaserScan", log="foxglove.Log")
-    sentence = refuse("drive.mcap")
-    assert "no image topic" in sentence
-    assert "/scan" in sentence
+    assert "no image topic; it holds /log" in refuse("drive.mcap")
     write_log(desk / "drive.mcap")
     assert "no image topic" in refuse("drive.mcap")
-
-
-def test_log_whose_only_picture_is_damaged(desk: Path) -> None:
     write_log(desk / "drive.mcap", camera="foxglove.CompressedImage")
     assert "not one image" in refuse("drive.mcap")
     assert "/rear" in refuse("drive.mcap", "--topic", "/rear")
 
 
-def test_real_logs_without_a_camera(desk: Path) -> None:
-    logs = sorted((DATA / "mcap_without_camera").glob("*.mcap"))
-    if not logs:
-        pytest.skip("the logs are not on this machine")
-    for log in logs:
-        assert "no image topic" in refuse(log)
-
-
-def random_bytes(path: Path) -> None:
-    path.write_bytes(np.random.default_rng(0).bytes(50_000))
-
-
-def truncated_copy(path: Path) -> None:
-    from airline.network.weights import bundled_path
-
-    data = bundled_path("default").read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-
-
-def another_network(path: Path) -> None:
+def wrong_weights(path: Path) -> dict[str, Callable[[], object]]:
+    """What makes a file of weights that is none."""
     import torch
-    from safetensors.torch import save_file
-
-    save_file({"layer.weight": torch.zeros(3, 3)}, path)
-
-
-def another_shape(path: Path) -> None:
-    """The header promises one network and the tensors are of another."""
     from safetensors.torch import load_file, save_file
 
     from airline.network.spec import UNetSpec
     from airline.network.weights import bundled_path
 
-    save_file(load_file(bundled_path("default")), path, metadata=UNetSpec((24, 48, 64)).to_metadata())
+    bundled = bundled_path("default")
+    return {
+        "missing": lambda: None,
+        "a folder": path.mkdir,
+        "random": lambda: path.write_bytes(np.random.default_rng(0).bytes(50_000)),
+        "cut": lambda: path.write_bytes(bundled.read_bytes()[: bundled.stat().st_size // 2]),
+        "another network's": lambda: save_file({"layer.weight": torch.zeros(3, 3)}, path),
+        # the header promises one network and the tensors are of another
+        "another shape": lambda: save_file(load_file(bundled), path, metadata=UNetSpec((24, 48, 64)).to_metadata()),
+    }
 
 
-def nothing(path: Path) -> None:
-    path.unlink(missing_ok=True)
-
-
-@pytest.mark.parametrize("make", [random_bytes, truncated_copy, another_network, another_shape, Path.mkdir, nothing])
-def test_wrong_weights(desk: Path, clip: Path, make: Callable[[Path], None]) -> None:
-    make(desk / "mine.safetensors")
+@pytest.mark.parametrize("kind", ["missing", "a folder", "random", "cut", "another network's", "another shape"])
+def test_wrong_weights(desk: Path, clip: Path, kind: str) -> None:
+    wrong_weights(desk / "mine.safetensors")[kind]()
     assert "mine.safetensors" in refuse(clip, "--weights", "mine.safetensors")
 
 
-@pytest.mark.parametrize(
-    ("flags", "hint"),
-    [
-        ("--colour", "--colour"),
-        ("--max 3", "--max"),  # no abbreviations: a later flag could change their meaning
-        ("--stride 0", "stride"),
-        ("--stride -1", "stride"),
-        ("--stride 1.5", "--stride"),
-        ("--stride", "--stride"),
-        ("--resize abc", "abc"),
-        ("--resize 640x", "640x"),
-        ("--resize 0x0", "resize"),
-        ("--resize 99999999999", "resize"),
-        ("--start 5 --end 2", "end"),
-        ("--start 5 --end 5", "end"),
-        ("--start -1", "start"),
-        ("--start nan", "start"),
-        ("--start inf", "start"),
-        ("--end nan", "end"),
-        ("--end inf", "end"),
-        ("--start soon", "--start"),
-        ("--start 100", "no frame"),
-        ("--max-frames 0", "frames"),
-        ("--max-frames -3", "frames"),
-        ("--fps 0", "fps"),
-        ("--fps nan", "fps"),
-        ("--fps 1e9", "frame rate"),
-        ("--topic /camera", "topic"),
-        ("--preset best", "best"),
-        ("--runtime tpu", "tpu"),
-        ("another.mp4", "another.mp4"),
-        ("--config missing.toml", "missing.toml"),
-        ("--config .", "settings file"),
-        ("--save missing/run.rrd", "missing/run.rrd"),
-        ("--save run.mp4", "run.mp4"),
-        ("--save folder.rrd", "folder.rrd"),
-        (f"--save {'x' * 300}.rrd", "xxx"),
-        ("--summary missing/run.json", "missing/run.json"),
-        ("--summary run.rrd", "run.rrd"),
-    ],
-)
-def test_impossible_flags(desk: Path, clip: Path, flags: str, hint: str) -> None:
+FLAGS = """
+--colour: --colour | --max 3: --max | --stride 0: stride | --stride 1.5: --stride | --stride: --stride
+--resize abc: abc | --resize 640x: 640x | --resize 0x0: resize | --resize 99999999999: resize
+--start 5 --end 2: end | --start -1: start | --start nan: start | --start inf: start | --end nan: end | --end inf: end
+--start soon: --start | --start 100: no frame | --max-frames 0: frames | --fps 0: fps | --fps nan: fps
+--fps 1e9: frame rate | --topic /camera: topic | --preset best: best | --runtime tpu: tpu | another.mp4: another.mp4
+--config missing.toml: missing.toml | --config .: settings file | --save missing/run.rrd: missing/run.rrd
+--save run.mp4: run.mp4 | --save folder.rrd: folder.rrd | --summary missing/run.json: missing/run.json
+--summary run.rrd: run.rrd
+"""  # no abbreviations: a later flag could change their meaning
+
+
+@pytest.mark.parametrize("case", [case.strip() for line in FLAGS.split("\n") for case in line.split(" | ") if case])
+def test_impossible_flags(desk: Path, clip: Path, case: str) -> None:
     (desk / "folder.rrd").mkdir()
+    flags, _, hint = case.partition(": ")
     assert hint in refuse(clip, *flags.split())
+    if flags == "--save folder.rrd":
+        assert "xxx" in refuse(clip, "--save", f"{'x' * 300}.rrd")
 
 
-@pytest.mark.parametrize(
-    ("text", "hint"),
-    [
-        ("colour = 1", "colour"),
-        ("[detector.edges]\ncolour = 1", "colour"),
-        ("[inputs]\nstride = 2", "inputs"),
-        ('input.stride = "two"', "input.stride"),
-        ("input.stride = 0", "input.stride"),
-        ("detector = 5", "detector"),
-        ("detector.edges.thin = 1", "detector.edges.thin"),
-        ("detector.grow.similarity = 1.5", "similarity"),
-        ("detector.grow.similarity = nan", "nan"),
-        ("detector.orientation.kernel_size = 4", "kernel size"),
-        ("tracker.band = -1", "band"),
-        ("recording.jpeg_quality = 500", "recording.jpeg_quality"),
-        ('preset = "best"', "best"),
-        ("preset = 7", "7"),
-        ('runtime = "tpu"', "runtime"),
-        ('detector.edges.weights = "mine.safetensors"', "mine.safetensors"),
-        ("this is not TOML", "TOML"),
-        ("a = 1\na = 2", "TOML"),
-        ("\x00\xff", "settings.toml"),
-    ],
-)
-def test_wrong_settings_file(desk: Path, clip: Path, text: str, hint: str) -> None:
+SETTINGS = {
+    "colour = 1": "colour",
+    "[inputs]\nstride = 2": "inputs",
+    'input.stride = "two"': "input.stride",
+    "detector.edges.thin = 1": "detector.edges.thin",
+    "detector.grow.similarity = 1.5": "similarity",
+    "detector.grow.similarity = nan": "nan",
+    "detector.orientation.kernel_size = 4": "kernel size",
+    "preset = 7": "7",
+    'detector.edges.weights = "mine.safetensors"': "mine.safetensors",
+    "this is not TOML": "TOML",
+    "a = 1\na = 2": "TOML",
+    "\x00\xff": "settings.toml",
+}
+
+
+@pytest.mark.parametrize("text", SETTINGS)
+def test_wrong_settings_file(desk: Path, clip: Path, text: str) -> None:
     (desk / "settings.toml").write_text(text, encoding="latin-1")
-    assert hint in refuse(clip, "--config", "settings.toml")
+    assert SETTINGS[text] in refuse(clip, "--config", "settings.toml")
 
 
 def test_cuda_where_there_is_none(desk: Path, clip: Path) -> None:
@@ -262,7 +200,7 @@ def skipped(clip: Path) -> int:
     figures = json.loads(Path("run.json").read_text())
     lost = figures["skipped_frames"]
     shown = f"{figures['frames']} ({lost} skipped)" if lost else f"{figures['frames']} "
-    assert f"│ frames                      │ {shown}" in outcome.out
+    assert re.search(rf"frames +. {re.escape(shown)}", outcome.out)
     rows = recorded(Path("run.rrd"))
     assert all(len(rows[path]["frame"]) == figures["frames"] for path in EVERY_FRAME)
     return int(lost)
@@ -288,18 +226,9 @@ def test_unreadable_frame_in_the_middle(desk: Path, clip: Path, caplog: pytest.L
 def test_frames_of_changing_size_and_kind(desk: Path, clip: Path) -> None:
     (desk / "room").mkdir()
     image = cv2.imread(str(clip / "0.png"))
-    kinds = [
-        image,
-        image[:80, :100],
-        cv2.cvtColor(image, cv2.COLOR_BGR2GRAY),
-        image.astype(np.uint16) * 256,
-        image[:1, :1],
-        image[:1],
-        image[:2, :3],
-        np.zeros_like(image),
-        np.tile(image, (2, 3, 1)),
-        image,
-    ]
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    kinds = [image, image[:80, :100], gray, image.astype(np.uint16) * 256, image[:1, :1], image[:1], image[:2, :3]]
+    kinds += [np.zeros_like(image), np.tile(image, (2, 3, 1)), image]
     for number, kind in enumerate(kinds):
         assert cv2.imwrite(str(desk / "room" / f"{number}.png"), kind)
     assert skipped(Path("room")) == 0

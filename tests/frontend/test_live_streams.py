@@ -133,11 +133,6 @@ def test_a_run_goes_on_when_its_stream_comes_back(tmp_path: Path) -> None:
     assert any(reset.startswith("gap of") for reset in resets)
 
 
-def test_a_camera_that_does_not_exist() -> None:
-    done = command("98", "--headless")
-    assert (done.code, done.err) == (2, "error: cannot open camera 98: is it connected and free?\n")
-
-
 def test_a_camera_that_is_pulled_out_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """No machine of the tests has a camera: a stream that ends stands for one."""
     with mjpeg_server() as server:

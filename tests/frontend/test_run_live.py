@@ -19,6 +19,7 @@ import pytest
 from airline.errors import InputError
 from frontend.cli.settings import RunConfig
 from frontend.frame import Frame
+from frontend.protocols import Source
 from frontend.run import process
 from tests.helpers.command import EVERY_FRAME, python, read_screen, recorded
 from viz.rerun_sink import RerunSink
@@ -87,12 +88,10 @@ def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> 
     assert total[0] < 30 * statistics.median(total)  # compiling and loading, 150 times as long, was done before
 
 
-class FailingSource:
+class FailingSource(Source):
     """The clip, until something happens before its fourth frame."""
 
     name = "failing"
-    frame_count = CLIP_FRAMES
-    skipped = 0
 
     def __init__(self, folder: Path, error: BaseException) -> None:
         self._folder, self._error = folder, error
@@ -103,16 +102,13 @@ class FailingSource:
             yield Frame(number, number * PERIOD_NS, image)
         raise self._error
 
-    def close(self) -> None:
-        pass
-
 
 @pytest.mark.parametrize(("error", "code"), [(InputError("the cable is out"), 2), (KeyboardInterrupt(), 130)])
 def test_what_was_written_before_the_end_is_readable(
     clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
 ) -> None:
     save = tmp_path / "run.rrd"
-    done, summary = process(FailingSource(clip, error), RunConfig(), lambda: [RerunSink(save=save)])
+    done, summary = process(FailingSource(clip, error), RunConfig(), [RerunSink(save=save)])
     assert (done, summary.frames) == (code, 3)
     assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
     assert capsys.readouterr().err == ("error: the cable is out\n" if code == 2 else "")
@@ -121,7 +117,7 @@ def test_what_was_written_before_the_end_is_readable(
 def test_a_fault_of_ours_is_not_hidden_and_loses_nothing(clip: Path, tmp_path: Path) -> None:
     save = tmp_path / "run.rrd"
     with pytest.raises(ZeroDivisionError):
-        process(FailingSource(clip, ZeroDivisionError()), RunConfig(), lambda: [RerunSink(save=save)])
+        process(FailingSource(clip, ZeroDivisionError()), RunConfig(), [RerunSink(save=save)])
     assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
 
 
@@ -139,6 +135,6 @@ def test_opening_the_sinks_does_not_count_as_speed(clip: Path) -> None:
         def close(self) -> None:
             time.sleep(1)
 
-    _, summary = process(FailingSource(clip, KeyboardInterrupt()), RunConfig(), lambda: [Slow()])
+    _, summary = process(FailingSource(clip, KeyboardInterrupt()), RunConfig(), (Slow() for _ in range(1)))
     assert len(written) == 3
     assert summary.fps > len(written)

@@ -114,24 +114,15 @@ def test_interrupt_tells_consumers_that_it_was_all(clip: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1", "ftp://127.0.0.1:5555", "tcp://192.0.2.1:5555", "ws://192.0.2.1:1"]
+    "address", ["tcp://127.0.0.1", "ftp://127.0.0.1:5555", "tcp://192.0.2.1:5555", "ws://", "tcp://"]
 )
-def test_a_bad_address_is_refused_before_any_work(clip: Path, tmp_path: Path, address: str) -> None:
-    outcome = command(clip, "--headless", "--publish", address, "--out", tmp_path / "tracks.mcap")
-    assert (outcome.code, outcome.out) == (2, "")
-    assert re.fullmatch(r"error: .*\n", outcome.err)
-    assert address in outcome.err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("scheme", ["tcp", "ws"])
-def test_a_taken_address_is_refused_before_any_work(clip: Path, tmp_path: Path, scheme: str) -> None:
+def test_an_address_that_cannot_be_had_is_refused_before_any_work(clip: Path, tmp_path: Path, address: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"{scheme}://127.0.0.1:{taken.getsockname()[1]}"
+        address += f"127.0.0.1:{taken.getsockname()[1]}" if address.endswith("//") else ""
         flags = ["--publish", "tcp://127.0.0.1:0", "--publish", address, "--out", tmp_path / "tracks.mcap"]
         outcome = command(clip, "--headless", *flags)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err == f"error: cannot publish at {address} (Address already in use): choose another address\n"
+    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
+    assert address in outcome.err
     assert not list(tmp_path.iterdir())
 
 

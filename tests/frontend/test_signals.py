@@ -76,7 +76,7 @@ def test_no_frame_is_half_written_or_written_twice(
     for module in ("csv", "parquet", "mcap_output"):
         monkeypatch.setattr(f"logs.sinks.{module}.FLUSH_S", 0.0)
     with ending_like_interrupts():
-        code, summary = process(open_source(str(clip)), RunConfig(), open_sinks)
+        code, summary = process(open_source(str(clip)), RunConfig(), open_sinks())
     assert writes >= moment
     assert code == SIGNALS[sign]
     frames = list(range(summary.frames))

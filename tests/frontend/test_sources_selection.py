@@ -14,11 +14,11 @@ from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.selection import SeekableSource, select_frames
+from frontend.sources.wrapped import Peeked, SelectedFrames
 
 
 @dataclass
-class Listed:
+class Listed(Source):
     """Frames of a list; `read` counts how many were taken from it."""
 
     frames: list[Frame]
@@ -27,6 +27,7 @@ class Listed:
     closed: bool = False
     name: str = "listed"
     skipped: int = 2
+    start_s: float = 0.0
 
     @property
     def frame_count(self) -> int | None:
@@ -42,8 +43,6 @@ class Listed:
 
 
 class Seekable(Listed):
-    start_s = 0.0
-
     @property
     def first_stamp_ns(self) -> int:
         return self.frames[0].stamp_ns
@@ -90,8 +89,7 @@ def test_equals_list_slicing(
     between = [f for f in after if length is None or f.stamp_ns - first < ((start or 0) + length) * 100_000_000]
     expected = between[::stride][:most]
 
-    selection = select_frames(kind(frames, endless), start_s=start_s, end_s=end_s, stride=stride, max_frames=most)
-    assert isinstance(selection, Source)
+    selection = SelectedFrames(kind(frames, endless), start_s=start_s, end_s=end_s, stride=stride, max_frames=most)
     bound = selection.frame_count
     assert list(selection) == expected
     assert bound is None if endless and most is None else bound is not None and bound >= len(expected)
@@ -101,19 +99,28 @@ def test_equals_list_slicing(
 
 def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
     source = Listed(frames_at(list(range(100))), endless=True)
-    selection = select_frames(source, stride=10, max_frames=3)
+    selection = SelectedFrames(source, stride=10, max_frames=3)
     assert selection.frame_count == 3
     assert [frame.index for frame in selection] == [0, 30, 60]
     assert source.read == 21
-    assert (selection.name, selection.skipped) == ("listed", 2)
+    assert (selection.name, selection.skipped, selection.dropped, selection.live) == ("listed", 2, 0, False)
     selection.close()
     assert source.closed
 
 
+def test_the_first_frame_can_be_looked_at() -> None:
+    frames = frames_at([1, 2, 3])
+    source = Listed(frames)
+    peeked = Peeked(source)
+    assert (peeked.first, source.read) == (frames[0], 1)
+    assert list(peeked) == frames
+    assert Peeked(Listed([])).first is None
+    assert list(Peeked(Listed([]))) == []
+
+
 def test_a_seekable_source_is_not_read_from_the_start() -> None:
     source = Seekable(frames_at([second * 10**9 for second in range(100)]))
-    assert isinstance(source, SeekableSource)
-    assert [frame.index for frame in select_frames(source, start_s=90, end_s=92)] == [270, 273]
+    assert [frame.index for frame in SelectedFrames(source, start_s=90, end_s=92)] == [270, 273]
     assert source.read == 3
 
 
@@ -127,7 +134,7 @@ def test_resize(resize: tuple[int, int | None], shape: tuple[int, int], dtype: t
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (40, 60, *channels), dtype)
     camera = CameraModel(60, 40, 50.0, 50.0, 29.5, 19.5)
     frame = Frame(4, 7, image, camera)
-    (resized,) = select_frames(Listed([frame]), resize=resize)
+    (resized,) = SelectedFrames(Listed([frame]), resize=resize)
     assert resized.image.shape == (*shape, *channels)
     assert resized.image.dtype == dtype
     assert resized.image.flags.c_contiguous
@@ -136,27 +143,26 @@ def test_resize(resize: tuple[int, int | None], shape: tuple[int, int], dtype: t
     assert resized.camera is not None
     assert (resized.camera.height, resized.camera.width) == shape
     assert resized.camera.cx == pytest.approx((shape[1] - 1) / 2)  # the image's centre stays its centre
-    (bare,) = select_frames(Listed([Frame(0, 0, image)]), resize=resize)
+    (bare,) = SelectedFrames(Listed([Frame(0, 0, image)]), resize=resize)
     assert bare.camera is None
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"stride": 0},
-        {"stride": -3},
-        {"max_frames": 0},
-        {"start_s": -1.0},
-        {"start_s": float("nan")},
-        {"start_s": float("inf")},
-        {"start_s": 2.0, "end_s": 2.0},
-        {"end_s": 0.0},
-        {"end_s": float("nan")},
-        {"resize": (15, 100)},
-        {"resize": (100, 0)},
-        {"resize": (10**9, None)},
-    ],
-)
-def test_impossible_values(values: dict[str, object]) -> None:
+NAN, INF = float("nan"), float("inf")
+WRONG = {
+    "start_s": [-1.0, NAN, INF],
+    "end_s": [0.0, NAN, INF],
+    "stride": [0, -3],
+    "max_frames": [0],
+    "resize": [(15, 100), (100, 0), (10**9, None)],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_impossible_values(name: str) -> None:
+    for value in WRONG[name]:
+        source = Listed([])
+        with pytest.raises(ConfigError):
+            SelectedFrames(source, **{name: value})  # type: ignore[arg-type]
+        assert source.closed
     with pytest.raises(ConfigError):
-        select_frames(Listed([]), **values)  # type: ignore[arg-type]
+        SelectedFrames(Listed([]), start_s=2.0, end_s=2.0)

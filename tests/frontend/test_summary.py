@@ -5,49 +5,30 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from types import MappingProxyType
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airline.lines import LineSet
-from airline.trace import Trace
 from frontend.cli.summary import WINDOW, SummaryCounter
-from frontend.frame import Frame
-from frontend.protocols import FrameResult
-from frontend.tracks import LineTracks
-
-IMAGE = np.zeros((8, 8), np.uint8)
-EDGES = np.zeros((8, 8), np.float32)
+from frontend.protocols import Source
 
 
-def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> FrameResult:
-    """What one frame would come to: as many tracks as hits, and some lines."""
+class Tracks:
+    def __init__(self, hits: list[int]) -> None:
+        self.hits = np.array(hits, np.int32)
 
-    def rows(count: int, *shape: int, kind: type = np.float32) -> np.ndarray:
-        return np.zeros((count, *shape), kind)
+    def __len__(self) -> int:
+        return len(self.hits)
 
-    detected = LineSet(rows(lines, 2, 2), rows(lines), rows(lines, 6))
-    trace = Trace(EDGES, rows(0, 2, kind=np.int32), rows(0, 2), rows(0, 6), rows(0, kind=np.int32), detected, {})
-    count = len(hits)
-    tracks = LineTracks(
-        frame_index=0,
-        stamp_ns=0,
-        ids=np.arange(count),
-        segments_px=rows(count, 2, 2),
-        observed_px=rows(count, 2, 2),
-        covariances=rows(count, 2, 2),
-        scores=rows(count),
-        descriptors=rows(count, 6),
-        states=rows(count, kind=np.uint8),
-        ages=rows(count, kind=np.int32),
-        hits=np.array(hits, np.int32),
-        line_indices=rows(count, kind=np.int32),
-        fragment_of=rows(count, kind=np.int64),
-    )
-    return FrameResult(Frame(0, 0, IMAGE), trace, tracks, MappingProxyType(stage_ms))
+
+def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> Any:
+    """What the counter looks at in one frame's result: as many tracks as hits, and some lines."""
+    trace = SimpleNamespace(lines=range(lines))
+    return SimpleNamespace(trace=trace, tracks=Tracks(hits), stage_ms=stage_ms, latency_ms=1.0)
 
 
 @given(
@@ -73,8 +54,10 @@ def test_figures(
         hits = [sum(track[: k + 1]) for track in seen if track[k]]
         live.append(len(hits))
         lines.append(len(hits) + more_lines[k])
-        counter.add(result(hits, lines[-1], {"edges": times[k], "track": 2 * times[k]}))
-    summary = counter.summary(skipped)
+        counter.add(result(hits, lines[-1], {"edges": times[k]}), sinks_ms=2 * times[k])
+    source = Source()
+    source.skipped = skipped
+    summary = counter.summary(source)
 
     lengths = [sum(track[:frames]) for track in seen]
     confirmed = [length for length in lengths if length >= confirm_hits]
@@ -84,13 +67,13 @@ def test_figures(
     assert summary.lines_per_frame == pytest.approx(statistics.mean(lines), abs=0.00501)
     assert summary.live_tracks_per_frame == pytest.approx(statistics.mean(live), abs=0.00501)
     median = statistics.median(times[:frames])
-    assert summary.stage_ms == pytest.approx({"edges": median, "track": 2 * median}, abs=0.0005)
+    assert summary.stage_ms == pytest.approx({"edges": median, "sinks": 2 * median}, abs=0.0005)
     assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
 
 
 def test_a_run_without_frames() -> None:
-    summary = SummaryCounter(3).summary(2)
-    assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 2)
+    summary = SummaryCounter(3).summary(Source())
+    assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 0)
     assert summary.stage_ms == {}
     assert summary.table().row_count > 0
 
@@ -101,9 +84,9 @@ def test_clock_runs_from_start_to_the_latest_frame() -> None:
     counter.start()
     for _ in range(5):
         time.sleep(0.02)
-        counter.add(result([], 0, {}))
+        counter.add(result([], 0, {}), 0.0)
     time.sleep(0.5)
-    assert 9 < counter.summary(0).fps <= 50
+    assert 9 < counter.summary(Source()).fps <= 50
 
 
 def test_memory_does_not_grow_with_the_run() -> None:
@@ -111,6 +94,7 @@ def test_memory_does_not_grow_with_the_run() -> None:
     counter = SummaryCounter(3)
     rng = np.random.default_rng(0)
     times = [1000.0] * WINDOW + rng.uniform(0, 50, WINDOW).tolist()
+    one = result([], 0, {})
     for spent in times:
-        counter.add_time({"edges": spent})
-    assert counter.summary(0).stage_ms["edges"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)
+        counter.add(one, spent)
+    assert counter.summary(Source()).stage_ms["sinks"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel, Distortion
-from frontend.camera.undistort import WIDEST_DEG, Undistorter, undistorted_camera, with_camera
+from frontend.camera.undistort import WIDEST_DEG, Undistorter, undistorted_camera
 from frontend.frame import Frame
-from frontend.protocols import Source
-from frontend.sources.selection import SeekableSource, select_frames
+from frontend.sources.wrapped import CalibratedFrames, SelectedFrames
 from tests.frontend.test_sources_selection import Listed, Seekable
 
 LENSES: dict[str, tuple[Distortion, list[float]]] = {
@@ -93,15 +92,6 @@ def test_the_new_image_is_covered_and_cannot_be_larger(lens: str, size: tuple[in
     assert Undistorter(source)(white).min() == 255
 
 
-def test_as_much_is_seen_as_opencv_keeps() -> None:
-    for lens in ("EuRoC", "pincushion", "decentred", "rational"):
-        source = camera(lens)
-        new = undistorted_camera(source)
-        best, _ = cv2.getOptimalNewCameraMatrix(source.matrix, source.coefficients, (640, 480), 0)
-        # OpenCV may stretch the axes differently; of the two, the narrower limits a picture that keeps its shape
-        assert new.fx / source.fx < 1.02 * max(best[0, 0] / source.fx, best[1, 1] / source.fy)
-
-
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_remapping_is_opencvs(lens: str) -> None:
     source = camera(lens)
@@ -119,48 +109,6 @@ def test_the_remapping_is_opencvs(lens: str) -> None:
     assert np.abs(deep[1:-1, 1:-1] / 200 - exact[1:-1, 1:-1]).max() < 4
 
 
-@pytest.mark.parametrize("lens", ["EuRoC", "fisheye"])
-def test_lines_point_the_same_way_detected_before_and_after(lens: str) -> None:
-    from airline.detector import AirLine
-
-    source = camera(lens)
-    plane = plane_of(source)
-    inside = np.full((480, 640), -np.inf)
-    for x, y, half in ((-0.3, -0.25, 0.08), (0.25, -0.2, 0.1), (0.2, 0.25, 0.09), (-0.25, 0.2, 0.1)):
-        inside = np.maximum(inside, half - np.abs(plane - (x, y)).max(axis=-1))
-    image = (155 - 75 * np.tanh(inside * source.fx)).astype(np.uint8)
-    (before,) = with_camera(Listed([Frame(0, 0, image)]), source)
-    (after,) = with_camera(Listed([Frame(0, 0, image)]), source, undistort=True)
-    detect = AirLine()
-    lines = []
-    for frame in (before, after):
-        assert frame.camera is not None
-        found = detect(frame.image)
-        sure = found.scores > 0.4  # not what the detector may see in one grey level's step around a square
-        segments = found.segments[sure & (np.hypot(*(found.segments[:, 1] - found.segments[:, 0]).T) > 25)]
-        lines.append(frame.camera.normalize(segments).astype(np.float64))
-    raw, straight = lines
-    assert len(raw) >= 14
-    assert len(straight) >= 14
-    errors = []
-    for line in raw:
-        away = [np.abs(_offsets(line, other)).max() for other in straight]
-        errors.append(min(away) * source.fx)
-    # px; a detector that fits straight segments to bent edges errs itself, now and then by an end it puts elsewhere
-    assert np.median(errors) < 0.5
-    assert np.percentile(errors, 75) < 1
-
-
-def _offsets(points: NDArray[np.float64], line: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances (2,) of a segment's ends from the line through another, infinite where they lie apart."""
-    start, direction = line[0], line[1] - line[0]
-    length = np.hypot(*direction)
-    along = (points - start) @ direction / length**2
-    if along.max() < 0.2 or along.min() > 0.8:
-        return np.full(2, np.inf)
-    return np.asarray((points - start) @ np.array([-direction[1], direction[0]]) / length)
-
-
 def frames(count: int = 4, size: tuple[int, int] = (640, 480), carried: CameraModel | None = None) -> list[Frame]:
     return [Frame(k, k * 10**9, np.full((size[1], size[0]), 99, np.uint8), carried) for k in range(count)]
 
@@ -168,27 +116,24 @@ def frames(count: int = 4, size: tuple[int, int] = (640, 480), carried: CameraMo
 def test_frames_carry_the_camera() -> None:
     given = camera("EuRoC")
     source = Listed(frames())
-    assert with_camera(source, None) is source
-    wrapped = with_camera(source, given)
-    assert isinstance(wrapped, Source)
-    assert not isinstance(wrapped, SeekableSource)
+    wrapped = CalibratedFrames(source, given)
     assert (wrapped.name, wrapped.frame_count, wrapped.skipped) == ("listed", 4, 2)
     assert all(frame.camera is given and frame.image is old.image for frame, old in zip(wrapped, source, strict=True))
     wrapped.close()
     assert source.closed
-    (half,) = with_camera(Listed(frames(1, (320, 240))), given)
+    (half,) = CalibratedFrames(Listed(frames(1, (320, 240))), given)
     assert half.camera is not None
     assert half.camera.fx == given.fx / 2
     with pytest.raises(InputError, match="640x480 px, these have 640x360"):
-        list(with_camera(Listed(frames(1, (640, 360))), given))
+        list(CalibratedFrames(Listed(frames(1, (640, 360))), given))
 
 
 def test_undistorted_frames_carry_the_new_camera() -> None:
     given = camera("EuRoC")
     changing = frames(2, carried=given) + frames(2, (320, 240), given.scaled(320, 240))
     for wrapped in (
-        with_camera(Listed(changing), None, undistort=True),
-        with_camera(Listed(changing), given, undistort=True),
+        CalibratedFrames(Listed(changing), None, undistort=True),
+        CalibratedFrames(Listed(changing), given, undistort=True),
     ):
         seen = list(wrapped)
         assert [frame.image.shape for frame in seen] == [(480, 640)] * 2 + [(240, 320)] * 2
@@ -198,13 +143,13 @@ def test_undistorted_frames_carry_the_new_camera() -> None:
         assert cameras[2] is not None
         assert cameras[2].width == 320
     pinhole = CameraModel(640, 480, 500, 500, 320, 240)
-    (same,) = with_camera(Listed(frames(1)), pinhole, undistort=True)
+    (same,) = CalibratedFrames(Listed(frames(1)), pinhole, undistort=True)
     assert same.camera is pinhole
 
 
 def test_undistorting_needs_a_camera() -> None:
     with pytest.raises(ConfigError, match="--calib"):
-        list(with_camera(Listed(frames()), None, undistort=True))
+        list(CalibratedFrames(Listed(frames()), None, undistort=True))
     with pytest.raises(InputError, match="no sense"):
         undistorted_camera(CameraModel(640, 480, 1.0, 1.0, -9e5, 240, "equidistant", np.zeros(4)))
 
@@ -212,7 +157,6 @@ def test_undistorting_needs_a_camera() -> None:
 @pytest.mark.parametrize("undistort", [False, True])
 def test_a_seekable_source_stays_seekable(undistort: bool) -> None:
     source = Seekable(frames(50))
-    wrapped = with_camera(source, camera("EuRoC"), undistort=undistort)
-    assert isinstance(wrapped, SeekableSource)
-    assert [frame.index for frame in select_frames(wrapped, start_s=45, end_s=47)] == [45, 46]
+    wrapped = CalibratedFrames(source, camera("EuRoC"), undistort=undistort)
+    assert [frame.index for frame in SelectedFrames(wrapped, start_s=45, end_s=47)] == [45, 46]
     assert source.read == 3

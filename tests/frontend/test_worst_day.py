@@ -22,6 +22,7 @@ from airline.errors import InputError
 from frontend.cli.settings import RunConfig
 from frontend.frame import Frame
 from frontend.pipeline import LineFrontend
+from frontend.protocols import Source
 from frontend.run import process
 from frontend.sources import open_source
 from logs import read_tracks
@@ -141,22 +142,17 @@ def test_a_disk_without_room_for_a_recording_is_said(small_disk: Path, long_clip
     assert recorded(small_disk / "t.rrd")["/camera/tracks"]["frame"][:3] == [0, 1, 2]
 
 
-class StampedSource:
+class StampedSource(Source):
     """A picture over and over, at these times."""
 
     name = "stamped"
-    skipped = 0
 
     def __init__(self, clip: Path, stamps_ns: list[int]) -> None:
         self._image, self._stamps_ns = cv2.imread(str(clip / "0.png")), stamps_ns
-        self.frame_count = len(stamps_ns)
 
     def __iter__(self) -> Iterator[Frame]:
         for index, stamp_ns in enumerate(self._stamps_ns):
             yield Frame(index, stamp_ns, self._image)
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_clock_that_jumps_steps_back_or_stands_still(clip: Path, tmp_path: Path) -> None:
@@ -165,7 +161,7 @@ def test_a_clock_that_jumps_steps_back_or_stands_still(clip: Path, tmp_path: Pat
     stamps += [stamps[-1]] * 2 + [hour, hour + PERIOD_NS, 2 * PERIOD_NS, 3 * PERIOD_NS, 2**62, 2**62]
     names = ("t.mcap", "t.parquet", "t.csv", "limap/")
     code, summary = process(
-        StampedSource(clip, stamps), RunConfig(), lambda: [open_track_sink(f"{tmp_path}/{name}") for name in names]
+        StampedSource(clip, stamps), RunConfig(), (open_track_sink(f"{tmp_path}/{name}") for name in names)
     )
     assert (code, summary.frames) == (0, len(stamps))
     for name in names[:2]:

@@ -9,12 +9,13 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import cv2
-import numpy as np
+
+from tests.helpers.live_camera import pictures
 
 PERIOD_S = 0.03
 
 
-class MjpegServer:
+class MjpegServer(ThreadingHTTPServer):
     """Sends pictures of a moving rectangle.
 
     Attributes:
@@ -24,68 +25,53 @@ class MjpegServer:
         connections: so far, refused ones included.
     """
 
-    def __init__(self) -> None:
-        self.frames: int | None = None
-        self.refused = 0
-        self.stalled = False
-        self.connections = 0
-        owner = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def log_message(self, *_: object) -> None:
-                """Keep the test's output clean."""
-
-            def do_GET(self) -> None:
-                owner.answer(self)
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        self._ended = False
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,))
-        self._thread.start()
+    daemon_threads = True
+    frames: int | None = None
+    refused = connections = 0
+    stalled = ended = False
 
     @property
     def url(self) -> str:
-        return f"http://127.0.0.1:{self._server.server_port}/stream.mjpg"
+        return f"http://127.0.0.1:{self.server_port}/stream.mjpg"
 
-    def answer(self, request: BaseHTTPRequestHandler) -> None:
-        self.connections += 1
-        if self.refused:
-            self.refused -= 1
-            request.send_error(503)
+
+class _Handler(BaseHTTPRequestHandler):
+    server: MjpegServer
+
+    def log_message(self, *_: object) -> None:
+        """Keep the test's output clean."""
+
+    def do_GET(self) -> None:
+        server = self.server
+        server.connections += 1
+        if server.refused:
+            server.refused -= 1
+            self.send_error(503)
             return
-        request.send_response(200)
-        request.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        request.end_headers()
-        sent = 0
-        while not self._ended and (self.frames is None or sent < self.frames):
-            if not self.stalled:
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        sent, jpegs = 0, [cv2.imencode(".jpg", picture)[1].tobytes() for picture in pictures(40)]
+        while not server.ended and (server.frames is None or sent < server.frames):
+            if not server.stalled:
+                jpeg = jpegs[sent % 40]
+                part = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(jpeg), jpeg)
                 try:
-                    request.wfile.write(_part(sent))
+                    self.wfile.write(part)
                 except OSError:  # the reader has gone
                     return
                 sent += 1
             time.sleep(PERIOD_S)
 
-    def close(self) -> None:
-        self._ended = True
-        self._server.shutdown()
-        self._thread.join()
-        self._server.server_close()
-
 
 @contextmanager
 def mjpeg_server() -> Iterator[MjpegServer]:
-    server = MjpegServer()
-    try:
-        yield server
-    finally:
-        server.close()
-
-
-def _part(number: int) -> bytes:
-    image = np.full((120, 160, 3), 60, np.uint8)
-    left = 20 + number % 40
-    cv2.rectangle(image, (left, 30), (left + 70, 90), (200, 180, 160), -1)
-    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
-    return b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(jpeg), jpeg)
+    with MjpegServer(("127.0.0.1", 0), _Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.ended = True
+            server.shutdown()
+            thread.join()

@@ -1,4 +1,4 @@
-"""The newest frames of a live source: what cannot be processed in time is dropped."""
+"""Frames that wait for nobody: a recording played at its own pace, and of a live source always the newest ones."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import takewhile
 
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -18,34 +20,63 @@ MAX_LATENCY_S = 0.2
 _WAITING = 2  # frames; one more would only be older
 
 
+class RealtimeSource(WrappedSource):
+    """A recording that gives out each frame when it is due: as long after the first one as their stamps say.
+
+    It is live like a camera: `FreshFrames` drops the oldest frames when the consumer is slower; without that the late
+    ones come at once. The clock starts when the second frame is asked for: preparing with the first one costs nothing.
+
+    Args:
+        source: the recording.
+        ahead: read all of it into memory before the first frame, for a source that is slower than its own stamps.
+    """
+
+    live = True
+
+    def __init__(self, source: Source, *, ahead: bool = False) -> None:
+        super().__init__(source)
+        self._ahead = ahead
+        self._stopped = threading.Event()
+
+    def __iter__(self) -> Iterator[Frame]:
+        frames = iter(self._source)
+        if self._ahead:
+            frames = iter(list(takewhile(lambda frame: not self._stopped.is_set(), frames)))
+        first = next(frames, None)
+        if first is None:
+            return
+        yield replace(first, read_s=time.perf_counter())
+        begin_s = time.perf_counter()
+        for frame in frames:
+            due_s = begin_s + (frame.stamp_ns - first.stamp_ns) / 1e9
+            if self._stopped.wait(max(0.0, due_s - time.perf_counter())):
+                return
+            yield replace(frame, read_s=time.perf_counter())
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+
 class FreshFrames(WrappedSource):
     """A live source that never makes its device wait: a thread reads, and the oldest of the waiting frames are dropped.
 
-    Frames keep their index, so that gaps show. It is a `Source`; one thread at a time may iterate.
+    Frames keep their index, so that gaps show. Until the second frame is asked for, a consumer prepares with the first:
+    a recording waits for it, and what a camera sends meanwhile is not counted as `dropped`.
 
     Args:
-        source: the live source; closing this closes it.
+        source: the live source.
         max_latency_s: a frame that has waited longer, in seconds, is dropped.
-        hold: ask the source for no second frame before `restart` is called; for a recording, which waits as no camera
-            does, and would be half over when everything is ready.
-
-    Attributes:
-        dropped: number of frames so far that were dropped.
-        arrived_s: `time.perf_counter()` when the latest frame that iteration gave had been read.
     """
 
-    live = False  # here a frame waits to be taken
+    dropped = 0
 
-    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S, *, hold: bool = False) -> None:
-        self.dropped = 0
-        self.arrived_s = 0.0
+    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S) -> None:
         super().__init__(source)
         self._max_latency_s = max_latency_s
-        self._waiting: deque[tuple[float, Frame]] = deque()
+        self._waiting: deque[Frame] = deque()
         self._changed = threading.Condition()
-        self._held = hold
+        self._asked = 0  # frames
         self._stopped = False
-        self._warned = False
         self._error: BaseException | None = None
         self._reader = threading.Thread(target=self._read, name="live source")
 
@@ -56,13 +87,6 @@ class FreshFrames(WrappedSource):
         if self._error is not None:
             raise self._error
 
-    def restart(self) -> None:
-        """Count dropped frames anew, and hold the source no longer: all before was preparation."""
-        with self._changed:
-            self.dropped = 0
-            self._held = False
-            self._changed.notify_all()
-
     def stop(self) -> None:
         """End reading as soon as the frame at hand is read, and the iteration with the frames that are waiting."""
         with self._changed:
@@ -71,13 +95,13 @@ class FreshFrames(WrappedSource):
         super().stop()
 
     def close(self) -> None:
-        """Stop, and close the source."""
         self.stop()
         if self._reader.ident is not None:
             self._reader.join()
         self._source.close()
 
     def _read(self) -> None:
+        begun = not isinstance(self._source, RealtimeSource)
         try:
             for frame in self._source:
                 with self._changed:
@@ -86,9 +110,9 @@ class FreshFrames(WrappedSource):
                         return
                     if len(self._waiting) == _WAITING:
                         self._drop()
-                    self._waiting.append((time.perf_counter(), frame))
+                    self._waiting.append(frame)
                     self._changed.notify_all()
-                    self._changed.wait_for(lambda: self._stopped or not self._held)
+                    self._changed.wait_for(lambda: self._stopped or begun or self._asked > 1)
         except BaseException as error:
             self._error = error  # raised behind the frames that still wait
         finally:
@@ -99,20 +123,21 @@ class FreshFrames(WrappedSource):
     def _take(self) -> Frame | None:
         """The oldest frame that is not too old; None when there will be no more."""
         with self._changed:
+            self._asked += 1
+            self._changed.notify_all()
             while True:
                 self._changed.wait_for(lambda: self._waiting or self._stopped)
                 oldest_s = time.perf_counter() - self._max_latency_s
-                while self._waiting and self._waiting[0][0] < oldest_s:
+                while self._waiting and self._waiting[0].read_s < oldest_s:
                     self._drop()
-                if self.dropped and not self._warned:
-                    log.warning("%s: frames come faster than they are processed: dropping the oldest", self.name)
-                    self._warned = True
                 if self._waiting:
-                    self.arrived_s, frame = self._waiting.popleft()
-                    return frame
+                    return self._waiting.popleft()
                 if self._stopped:
                     return None
 
     def _drop(self) -> None:
         self._waiting.popleft()
-        self.dropped += 1
+        if self._asked > 1:
+            self.dropped += 1
+            if self.dropped == 1:
+                log.warning("%s: frames come faster than they are processed: dropping the oldest", self.name)

@@ -1,0 +1,190 @@
+"""Frames that wait for nobody: when they come, which are dropped, and that waiting ends."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from airline import AirLine, CannyEdges, InputError
+from frontend import Frame, LineFrontend, Source
+from frontend.cli.settings import load
+from frontend.cli.wiring import open_input
+from frontend.sources.pace import FreshFrames, RealtimeSource
+from frontend.sources.wrapped import Peeked
+from tests.helpers.command import ROOT
+from tests.helpers.live_camera import PERIOD_S, Camera, SlowEdges, pictures
+
+STAMPS_MS = [100, 140, 150, 400, 410]  # since when does not matter
+HOUR_MS = 3_600_000
+
+
+class Recording(Source):
+    """Tiny frames with given stamps, each of which takes `cost_s` to read."""
+
+    name = "recording"
+
+    def __init__(self, stamps_ms: list[int], cost_s: float = 0.0) -> None:
+        self.stamps_ms, self.cost_s = stamps_ms, cost_s
+        self.given = 0
+        self.closed = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, stamp in enumerate(self.stamps_ms):
+            time.sleep(self.cost_s)
+            self.given += 1
+            yield Frame(index, stamp * 10**6, np.zeros((16, 16), np.uint8))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def arrivals_ms(source: Source, prepare_s: float = 0.0) -> list[float]:
+    """When each frame came, since the second one was asked for."""
+    frames = iter(source)
+    next(frames)
+    time.sleep(prepare_s)
+    begin = time.perf_counter()
+    return [1e3 * (time.perf_counter() - begin) for _ in frames]
+
+
+@pytest.mark.parametrize("prepare_s", [0.0, 0.3])
+def test_frames_come_when_they_are_due(prepare_s: float) -> None:
+    found = arrivals_ms(RealtimeSource(Recording(STAMPS_MS)), prepare_s)
+    late = np.subtract(found, np.subtract(STAMPS_MS[1:], STAMPS_MS[0]))
+    assert late.min() > -1, "never early"
+    assert np.median(late) < 20
+
+
+def test_a_source_slower_than_its_stamps_is_read_ahead() -> None:
+    assert arrivals_ms(RealtimeSource(Recording(STAMPS_MS, cost_s=0.15)))[-1] > 550
+    assert arrivals_ms(RealtimeSource(Recording(STAMPS_MS, cost_s=0.15), ahead=True))[-1] < 500
+    assert list(RealtimeSource(Recording([]))) == []
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_closing_ends_a_wait(ahead: bool) -> None:
+    source = RealtimeSource(Recording([0, HOUR_MS], cost_s=0.01), ahead=ahead)
+    frames = iter(source)
+    next(frames)
+    threading.Timer(0.2, source.close).start()
+    begin = time.monotonic()
+    assert next(frames, None) is None
+    assert time.monotonic() - begin < 5
+
+
+def test_closing_ends_reading_ahead() -> None:
+    source = RealtimeSource(Recording(list(range(100_000)), cost_s=0.01), ahead=True)
+    threading.Timer(0.2, source.close).start()
+    assert len(list(source)) < 1000
+
+
+def test_the_flag_makes_the_input_live() -> None:
+    clip = RealtimeSource(Recording(STAMPS_MS))
+    assert clip.live
+    source = open_input(None, load(None, {"input": {"realtime": True, "max_frames": 3}}))
+    assert isinstance(source, FreshFrames)
+    assert (source.live, source.name, source.frame_count, source.skipped) == (True, "indoor-handheld", 3, 0)
+    serial = open_input(None, load(None, {"input": {"realtime": True, "max_frames": 3}, "serial": True}))
+    assert isinstance(serial, RealtimeSource), "in series nothing is dropped"
+
+
+def test_a_recording_waits_until_everything_is_ready() -> None:
+    recording = Recording([0, 10, 20])
+    frames = Peeked(FreshFrames(RealtimeSource(recording), max_latency_s=60))
+    time.sleep(0.2)
+    assert recording.given == 1
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    frames.close()
+
+
+def test_a_camera_does_not_wait_and_its_frames_do_not_age() -> None:
+    """While the consumer prepares with the first frame, nothing counts as dropped."""
+    camera = Camera(1000)
+    frames = Peeked(fresh := FreshFrames(camera))
+    time.sleep(60 * PERIOD_S)
+    assert camera.given > 20
+    assert fresh.dropped == 0
+    first, second = (frame for frame, _ in zip(frames, range(2), strict=False))
+    assert (first.index, second.index > 15) == (0, True)
+    assert time.perf_counter() - second.read_s < 0.2
+    frames.close()
+
+
+def test_the_oldest_are_dropped_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    camera = Camera(200)
+    fresh = FreshFrames(camera)
+    results = list(LineFrontend(AirLine(edges=SlowEdges())).results(fresh))
+    indices = [result.frame.index for result in results]
+    assert indices == sorted(set(indices))
+    assert indices[-1] == 199, "the newest frame is never dropped"
+    assert len(results) + fresh.dropped + indices[1] - 1 == camera.given == 200, "before the second they do not count"
+    assert fresh.dropped > 100
+    assert max(result.latency_ms for result in results) < 1e3 * 200 * PERIOD_S, "it does not add up to five times that"
+    warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert warnings == ["camera-7: frames come faster than they are processed: dropping the oldest"]
+    fresh.close()
+    assert camera.closed
+
+
+def test_a_frame_that_has_waited_too_long_is_dropped() -> None:
+    fresh = FreshFrames(Camera(4), max_latency_s=0.5)
+    frames = iter(fresh)
+    assert [next(frames).index, next(frames).index] == [0, 1]
+    time.sleep(1)  # the two others are in by now, and there is room for both
+    assert list(frames) == []
+    assert fresh.dropped == 2
+    fresh.close()
+
+
+def test_a_fast_enough_consumer_drops_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    fresh = FreshFrames(Camera(20), max_latency_s=60)
+    assert [frame.index for frame in fresh] == list(range(20))
+    assert (fresh.dropped, caplog.records) == (0, [])
+    fresh.close()
+
+
+def test_an_error_of_a_live_source_comes_behind_its_frames() -> None:
+    fresh = FreshFrames(Camera(2, InputError("the cable is out")), max_latency_s=60)
+    found = []
+    with pytest.raises(InputError, match="cable") as caught:
+        found.extend(LineFrontend(AirLine(edges=SlowEdges())).results(fresh))
+    assert [result.frame.index for result in found] == [0, 1]
+    assert caught.traceback[-1].name == "__iter__"
+    fresh.close()
+
+
+def test_a_closed_live_source_ends() -> None:
+    """Before anybody has asked, while somebody waits for a frame, and while the recording waits for its next one."""
+    FreshFrames(Camera(1)).close()
+    camera, recording = Camera(1000), Recording([0, 0, HOUR_MS])
+    frontend = LineFrontend(AirLine(edges=CannyEdges()))
+    frontend.warm_up(pictures(1)[0])  # closing waits for what runs, which must not be a compiler
+    for source in (FreshFrames(camera), FreshFrames(RealtimeSource(recording))):
+        results = frontend.results(source)
+        assert next(results).frame.index == 0
+        begin = time.monotonic()
+        results.close()
+        source.close()
+        assert time.monotonic() - begin < 5
+    assert camera.given < 200
+    assert recording.closed
+
+
+def test_a_program_that_leaves_a_live_source_open_ends() -> None:
+    code = """
+from airline import AirLine
+from frontend import LineFrontend
+from frontend.sources.pace import FreshFrames
+from tests.helpers.live_camera import Camera, SlowEdges
+results = LineFrontend(AirLine(edges=SlowEdges())).results(FreshFrames(Camera(3000)))
+assert next(results).frame.index == 0
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (0, done.stderr.count("dropping")), "a warning at most"
