@@ -54,40 +54,26 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     options = build_parser().parse_args(arguments)
     set_up_logging(0)
-    interrupted = False
     try:
-        from rich.console import Console
-
-        from frontend.batch.report import REPORT, failures, summary_table
+        from frontend.batch.report import REPORT, summary_lines
         from frontend.cli.settings import load
 
         config = load(options.config, settings_of(options))
+        names = ("write", "workers", "ray", "overwrite")
+        given = {name: getattr(options, name) for name in names}
+        code = 0
         try:
             with ending_like_interrupts():
-                rows = run_batch(
-                    options.inputs,
-                    options.out,
-                    config=config,
-                    write=options.write,
-                    workers=options.workers,
-                    ray=options.ray,
-                    overwrite=options.overwrite,
-                )
+                rows = run_batch(options.inputs, options.out, config=config, **given)
         except BatchInterrupted as stop:
-            rows, interrupted = stop.rows, True
-        Console().print(summary_table(rows))
-        failed = failures(rows)
-        for failure in failed:
-            print(f"failed {failure}")
-        print(f"report: {options.out / REPORT}")
+            rows, code = stop.rows, EXIT_INTERRUPTED
+        print(*summary_lines(rows), f"report: {options.out / REPORT}", sep="\n")
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    if interrupted:
-        return EXIT_INTERRUPTED
-    return EXIT_SOME_FAILED if failed else 0
+    return code or (EXIT_SOME_FAILED if any(row.status == "failed" for row in rows) else 0)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What became of all recordings: a Parquet file that is kept up to date, and a table for the terminal."""
+"""What became of all recordings: a Parquet file that is kept up to date, and a few lines for the terminal."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import os
 from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from airline.errors import InputError
 from frontend.batch.job import Row, Status
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
 REPORT = "report.parquet"
+SUMS = ("frames", "tracks", "seconds")
 
 
 def write_report(path: Path, rows: Collection[Row]) -> None:
@@ -42,23 +40,15 @@ def write_report(path: Path, rows: Collection[Row]) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def summary_table(rows: Collection[Row]) -> Table:
-    """Recordings, frames, tracks and seconds by status."""
-    from rich.table import Table
-
-    table = Table("", "recordings", "frames", "tracks", "seconds")
+def summary_lines(rows: Collection[Row]) -> list[str]:
+    """What became of how many recordings, and the reasons of those that failed."""
+    lines = []
     for status in get_args(Status):
         found = [row for row in rows if row.status == status]
         if found:
-            frames, tracks = (sum(getattr(row, name) or 0 for row in found) for name in ("frames", "tracks"))
-            seconds = sum(row.seconds or 0.0 for row in found)
-            table.add_row(status, f"{len(found)}", f"{frames}", f"{tracks}", f"{seconds:.1f}")
-    return table
-
-
-def failures(rows: Collection[Row]) -> list[str]:
-    """A line for each recording that failed, with its reason."""
-    return [_printable(f"{row.name}: {row.reason}") for row in rows if row.status == "failed"]
+            frames, tracks, seconds = (sum(getattr(row, name) or 0 for row in found) for name in SUMS)
+            lines.append(f"{status}: {len(found)} recordings, {frames} frames, {tracks} tracks, {seconds:.1f} s")
+    return lines + [_printable(f"failed {row.name}: {row.reason}") for row in rows if row.status == "failed"]
 
 
 def _printable(value: Any) -> Any:

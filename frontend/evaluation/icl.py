@@ -31,9 +31,6 @@ class LabelledClip:
 
     def __init__(self, folder: Path) -> None:
         self.name = folder.resolve().name
-        for part in ("images", "lines", "associations"):
-            if not (folder / part).is_dir():
-                raise InputError(f"no folder {folder / part}: labelled frames need images, lines and associations")
         self._images = list_images(folder / "images", FRAMES_PER_SECOND)
         self._truth = _chained(folder, [row.path.stem for row in self._images])
 

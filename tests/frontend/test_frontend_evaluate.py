@@ -72,7 +72,7 @@ def _write(name: str, text: str) -> Callable[[Path], object]:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_remove("associations"), "no folder"),
+        (_remove("associations"), "no file"),
         (_remove("lines/1.csv"), "no file"),
         (_write("lines/1.csv", "1,2,3\n"), "4 numbers"),
         (_write("associations/0_1.csv", "0,7\n"), "rows of the line files"),
@@ -161,7 +161,7 @@ def test_real_data(tmp_path: Path, flag: str, name: str) -> None:
         (["--limit", "many"], "--limit"),
         (["--json", "nowhere/figures.json"], "no folder"),
         (["--photos", "nowhere"], "nowhere"),
-        (["--icl", "nowhere"], "no folder"),
+        (["--icl", "nowhere"], "nowhere"),
         (["--posed", "nowhere"], "nowhere"),
     ],
 )

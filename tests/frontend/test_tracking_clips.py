@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -152,22 +151,6 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
         assert not middle.any()
         cut += int(hidden.any())
     assert cut > 10
-
-
-def test_lines_hide_for_five_to_twenty_frames_and_come_back_under_their_id() -> None:
-    sequence = RenderedClip("street", "static", 6, 120, effects=None)
-    view = sequence.render(0)
-    seen = defaultdict(list)
-    for i in range(120):
-        pieces, rows = cut_by_discs(view.segments_px, occluder_discs(i, *SIZE), RADIUS)
-        assert len(pieces) == len(rows)
-        for track_id in np.unique(view.ids[rows]).tolist():
-            seen[track_id].append(i)
-    gaps = np.concatenate([np.diff(frames) - 1 for frames in seen.values()])
-    gaps = gaps[gaps > 0]
-    assert len(gaps) > 2 * len(seen)
-    assert np.mean((gaps >= 5) & (gaps <= 20)) > 0.9
-    assert gaps.max() <= 20
 
 
 def test_cut_by_discs_leaves_both_ends() -> None:
