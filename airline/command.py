@@ -7,13 +7,14 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from airline.errors import AirLineError
 
 EXIT_USER_ERROR = 2
+Item = TypeVar("Item")
 
 
 class Parser(argparse.ArgumentParser):
@@ -63,6 +64,15 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
         print(self.format(record), file=sys.stderr)
+
+
+def track(items: Iterable[Item], title: str, total: int) -> Iterable[Item]:
+    """The items, with a passing progress bar on stderr where a person looks on."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, title, total, console=console, transient=True, disable=not console.is_terminal)
 
 
 def print_errors(error: AirLineError) -> None:
