@@ -18,7 +18,7 @@ from frontend import batch as batches
 from frontend.batch import job as jobs
 from frontend.batch import run_batch
 from frontend.batch.__main__ import main
-from frontend.batch.job import OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
+from frontend.batch.job import FIGURES, OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
 from frontend.batch.plan import job_settings, make_plan, reserved
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
@@ -78,16 +78,7 @@ def test_report_and_summaries_agree(first: tuple[Outcome, Path], logs: Path) -> 
         row, summary = rows[name], json.loads((out / name / "summary.json").read_text())
         assert (row["status"], row["reason"], row["attempts"], row["warnings"]) == ("done", None, 1, [])
         assert (row["input"], row["output"]) == (str(logs / f"{name}.mcap"), str(out / name))
-        for figure in (
-            "frames",
-            "skipped_frames",
-            "lines_per_frame",
-            "tracks",
-            "track_length_median",
-            "fps",
-            "seconds",
-        ):
-            assert row[figure] == summary[figure]
+        assert {figure: row[figure] for figure in FIGURES} == {figure: summary[figure] for figure in FIGURES}
         assert (row["frames"], row["tracks"] > 10, row["seconds"] > 0) == (FRAMES, True, True)
         assert summary["made_from"]["input"]["path"] == row["input"]
     for name in BROKEN:

@@ -21,10 +21,6 @@ from tests.helpers.command import ROOT, command
 from tests.helpers.data_sets import write_labelled, write_posed
 
 DATA = ROOT.parent / "shared" / "data"
-KEYS = {
-    *("link_precision", "link_recall", "idf1", "switches_per_100", "fragments_per_100", "track_length_mean"),
-    *("jitter_across_px", "jitter_along_px", "ms"),
-}
 
 
 @pytest.fixture
@@ -112,8 +108,6 @@ def test_command(labelled: Path, posed: Path, tmp_path: Path, capsys: pytest.Cap
     assert set(figures["sequences"]) == {"static", "labelled"}
     for clip in figures["sequences"].values():
         assert list(clip) == ["ours", "nearest", "flow"]
-        for tracker in clip.values():
-            assert set(tracker) >= KEYS
     for tracker in figures["sequences"]["static"].values():
         assert tracker["link_precision"] > 0.95, "nothing moves, so everybody must follow"
         assert tracker["link_recall"] > 0.9

@@ -18,6 +18,7 @@ from frontend.evaluation.posed import Observation, consistency, parallax, reproj
 from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Record, Tracked, Truth, owners
 
 SIZE = (200, 160)
+KNOWN_WHEN_EMPTY = {"wrong_links", "switches_per_100", "fragments_per_100", "tracks", "ms"}
 
 
 def lines(*rows: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -185,12 +186,8 @@ def test_lengths() -> None:
     figures = identity_scores(records)
     assert (figures["tracks"], figures["track_length_median"], figures["visible_length_mean"]) == (3, 2, 2)
     assert figures["alive_3"] == pytest.approx(1 / 3, abs=1e-4)
-
-
-def test_an_empty_run_has_no_figures() -> None:
-    figures = identity_scores(run({}, {}))
-    assert {figures[key] for key in ("link_precision", "link_recall", "idf1", "track_length_mean", "alive_3")} == {None}
-    assert (figures["tracks"], figures["jitter_across_px"], figures["jitter_along_px"]) == (0, None, None)
+    empty = identity_scores(run({}, {}))
+    assert {key for key, value in empty.items() if value is not None} <= KNOWN_WHEN_EMPTY
 
 
 @settings(max_examples=40, deadline=None)
