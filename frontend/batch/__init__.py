@@ -70,9 +70,8 @@ def run_batch(
         AirLineError: an input without a recording, an impossible setting, an output that cannot be written.
         BatchInterrupted: Ctrl-C; the report has been written, and what was finished stays.
     """
-    from frontend.batch.plan import job_settings, make_plan, reserved
+    from frontend.batch.plan import REPORT, job_settings, make_plan, reserved, write_report
     from frontend.batch.recordings import find_recordings
-    from frontend.batch.report import REPORT, write_report
     from frontend.cli.settings import RunConfig
 
     if workers is not None and (workers < 1 or ray is not None):

@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     set_up_logging(0)
     try:
-        from frontend.batch.report import REPORT, summary_lines
+        from frontend.batch.plan import REPORT, summary_lines
         from frontend.cli.settings import load
 
         config = load(options.config, settings_of(options))
