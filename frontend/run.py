@@ -64,10 +64,10 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
         server = stack.enter_context(wiring.web_viewer()) if options.serve else None
         with ExitStack() as opened:
             source = opened.enter_context(closing(wiring.open_input(options.input, config)))
-            publishers = [
-                opened.enter_context(closing(wiring.open_publisher(address, source.name, labels=options.labels)))
-                for address in options.publish
-            ]
+            publishers = []
+            for address in options.publish:
+                publisher = wiring.open_publisher(address, source.name, labels=options.labels)
+                publishers.append(opened.enter_context(closing(publisher)))
             for publisher in publishers:
                 print(f"publishing at {publisher.address}", flush=True)
             save, viewer = wiring.where_to_record(options, source.name, server)

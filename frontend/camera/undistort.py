@@ -28,8 +28,10 @@ class Undistorter:
         self._maps: tuple[Any, Any] | None = None
         self.camera = source
         if source.distortion != "none":
-            self.camera = undistorted_camera(source)
-            self._maps = _maps(self.camera, source)
+            new = self.camera = undistorted_camera(source)
+            columns, rows = np.meshgrid(np.arange(new.width), np.arange(new.height))
+            plane = np.stack([(columns - new.cx) / new.fx, (rows - new.cy) / new.fy], axis=-1)
+            self._maps = cv2.convertMaps(source.project(plane), None, cv2.CV_16SC2)  # the fastest form to apply
 
     def fits(self, source: CameraModel) -> bool:
         """Whether images of this camera can be remapped, too."""
@@ -55,7 +57,9 @@ def undistorted_camera(camera: CameraModel) -> CameraModel:
     last = np.array([camera.width - 1, camera.height - 1], np.float64)
     side = 0.5 * last / (camera.fx, camera.fy)  # half sides of the image on the plane z = 1, without zoom
     centre = camera.normalize(0.5 * last).astype(np.float64)
-    border = _border(side)
+    along, one = np.linspace(-1, 1, _BORDER_POINTS), np.ones(_BORDER_POINTS)
+    sides = [(along, -one), (along, one), (-one, along), (one, along)]
+    border = np.concatenate([np.stack(pair, axis=1) for pair in sides]) * side  # around the middle
 
     def zoom(centre: Array, known: float, high: float) -> float:
         """The largest factor of `border` around `centre` that the image covers; `known` is one that it covers."""
@@ -82,28 +86,12 @@ def undistorted_camera(camera: CameraModel) -> CameraModel:
     return CameraModel(camera.width, camera.height, fx, fy, float(cx), float(cy))
 
 
-def _border(side: Array) -> Array:
-    """(4 N, 2) points on the border of a rectangle around the origin with these half sides."""
-    along = np.linspace(-1, 1, _BORDER_POINTS)
-    one = np.ones(_BORDER_POINTS)
-    pairs = [(along, -one), (along, one), (-one, along), (one, along)]
-    return np.concatenate([np.stack(pair, axis=1) for pair in pairs]) * side
-
-
 def _covers(camera: CameraModel, plane: Array) -> bool:
     """Whether the image shows all these points, none of them too far off the axis; then it shows what they enclose."""
     if np.hypot(*plane.T).max() > math.tan(math.radians(WIDEST_DEG)):
         return False
     x, y = camera.project(plane).T
     return bool(((x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)).all())  # false for NaN
-
-
-def _maps(new: CameraModel, source: CameraModel) -> tuple[Any, Any]:
-    """Where in the source's image each pixel of the new one is, in the fixed-point form that is fastest to apply."""
-    columns, rows = np.meshgrid(np.arange(new.width), np.arange(new.height))
-    plane = np.stack([(columns - new.cx) / new.fx, (rows - new.cy) / new.fy], axis=-1)
-    fixed, fraction = cv2.convertMaps(source.project(plane), None, cv2.CV_16SC2)
-    return fixed, fraction
 
 
 def _values(camera: CameraModel) -> tuple[object, ...]:

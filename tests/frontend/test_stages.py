@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import signal
 import subprocess
 import sys
@@ -147,7 +146,9 @@ def test_an_interrupt_ends_the_wait_for_an_item() -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the parent ignores it
     results = pipelined(items(), lambda item: item, stop=woken.set)
     assert next(results) == 0
-    threading.Timer(0.1, _thread.interrupt_main).start()
+    main = threading.main_thread().ident
+    assert main is not None
+    threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT)).start()
     started = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
         next(results)
