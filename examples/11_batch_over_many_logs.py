@@ -46,7 +46,7 @@ def main(folder: Path, out: Path) -> None:
     print("frames in all:", sum(filter(None, report["frames"].to_pylist())))
 
 
-if __name__ == "__main__":  # the batch's workers import this file
+if __name__ == "__main__":
     if len(sys.argv) > 1:
         main(Path(sys.argv[1]), Path(*sys.argv[2:3] or ["results"]))
     else:

@@ -13,16 +13,16 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from airline.command import Parser, exit_code, write_json
+from airline.command import Parser, exit_code, image_size, number, write_json
 from airline.config import PRESETS, RUNTIMES
-from airline.errors import ConfigError, InputError
+from airline.errors import InputError
 from frontend.cli.terminal import progress
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink
 
-SIZES = ("640x480", "752x480", "1280x720", "1920x1080")
+SIZES = ((640, 480), (752, 480), (1280, 720), (1920, 1080))
 CLIP_FRAMES = 120  # held in memory; longer runs go through them forth and back
 ROUNDS = 2
 JPEG_QUALITY = 95
@@ -49,6 +49,18 @@ RUNS: dict[str, tuple[SinkKind, bool]] = {
     "fps_rerun": ("rerun", False),
     "fps_mcap": ("mcap", False),
 }
+ROWS = {
+    "fps_serial": "frames/s in series",
+    "fps": "frames/s",
+    "fps_rerun_serial": "frames/s into Rerun, in series",
+    "fps_rerun": "frames/s into Rerun",
+    "fps_mcap": "frames/s into MCAP",
+    "latency_ms": "latency, ms",
+    "peak_mb": "peak MB over torch",
+    "peak_mb_rerun": "peak MB over torch, with Rerun",
+    "lines": "lines",
+    "lsd_ms": "OpenCV LSD, ms",
+}
 
 
 @dataclass(frozen=True)
@@ -58,6 +70,7 @@ class ClipSource(Source):
     Attributes:
         files: the clip's frames as JPEG files, each with one px size for all.
         frame_count: how many frames iteration yields.
+        name: of the source.
     """
 
     files: Sequence[bytes]
@@ -82,11 +95,16 @@ def build_parser() -> Parser:
         description="Frames per second and peak memory of the whole pipeline, with and without sinks.",
     )
     parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
-    parser.add_argument("--size", nargs="+", default=SIZES, metavar="WxH", help=f"sizes (default: {' '.join(SIZES)})")
+    shown = " ".join(f"{width}x{height}" for width, height in SIZES)
+    parser.add_argument(
+        "--size", nargs="+", type=image_size, default=SIZES, metavar="WxH", help=f"sizes (default: {shown})"
+    )
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
-    parser.add_argument("--frames", type=int, default=150, metavar="N", help="per run (default: %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument(
+        "--frames", type=number(int, 2), default=150, metavar="N", help="per run (default: %(default)s)"
+    )
+    parser.add_json()
     return parser
 
 
@@ -99,12 +117,8 @@ def run(options: argparse.Namespace) -> None:
     """Measure, print the table and write the JSON.
 
     Raises:
-        AirLineError: an argument or the input cannot be used.
+        AirLineError: the input cannot be used.
     """
-    if options.frames < 2:
-        raise ConfigError("--frames must be 2 or more")
-    if options.json is not None and not options.json.parent.is_dir():
-        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
     from rich.console import Console
 
     from frontend.cli.settings import load
@@ -121,33 +135,33 @@ def run(options: argparse.Namespace) -> None:
     write_json(options.json, {**about, "sizes": sizes})
 
 
-def load_clips(spec: str | None, sizes: Sequence[str], config: RunConfig) -> dict[str, list[bytes]]:
-    """JPEG files of the first frames of an input in every size.
+def load_clips(spec: str | None, sizes: Sequence[tuple[int, int]], config: RunConfig) -> dict[str, list[bytes]]:
+    """JPEG files of the first frames of an input in every (width, height), px, by the name "WIDTHxHEIGHT".
 
     Raises:
-        AirLineError: the input cannot be used, or a size is none.
+        AirLineError: the input cannot be used.
     """
     import cv2
 
     from airline.image import to_uint8
     from frontend.cli.wiring import open_input
 
-    shapes = {size: _width_height(size) for size in sizes}
-    clips: dict[str, list[bytes]] = {size: [] for size in sizes}
+    clips: dict[str, list[bytes]] = {f"{width}x{height}": [] for width, height in sizes}
     with closing(open_input(spec, config)) as source, progress(source.name, source.frame_count) as advance:
         for frame in source:
             image = to_uint8(frame.image)
-            for size, (width, height) in shapes.items():
+            for width, height in sizes:
                 method = cv2.INTER_AREA if width <= image.shape[1] else cv2.INTER_CUBIC
                 resized = cv2.resize(image, (width, height), interpolation=method)
-                clips[size].append(cv2.imencode(".jpg", resized, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+                file = cv2.imencode(".jpg", resized, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+                clips[f"{width}x{height}"].append(file.tobytes())
             advance()
     if not all(clips.values()):
         raise InputError(f"{source.name} yields no frame: give another input")
     return clips
 
 
-def measure(clip: ClipSource, config: RunConfig, advance: Any) -> Figures:
+def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) -> Figures:
     """All figures of one size: medians over rounds in which the runs take turns; of memory, the most."""
     found: dict[str, list[Figures]] = {name: [] for name in RUNS}
     lsd_ms: list[float] = []
@@ -158,17 +172,14 @@ def measure(clip: ClipSource, config: RunConfig, advance: Any) -> Figures:
                 found[name].append(pool.submit(one_run, clip, config, sink, serial).result())
             lsd_ms += time_lsd(clip)
             advance()
-    figures: Figures = {name: _median([run["fps"] for run in runs]) for name, runs in found.items()}
-    plain = found["fps"]
+    plain, serial_ms = found["fps"], [run["stage_ms"] for run in found["fps_serial"]]
     return {
-        **figures,
+        **{name: _median(run["fps"] for run in runs) for name, runs in found.items()},
         "peak_mb": max(run["peak_mb"] for run in plain),
         "peak_mb_rerun": max(run["peak_mb"] for run in found["fps_rerun"]),
-        "latency_ms": _median([run["latency_ms"] for run in plain]),
+        "latency_ms": _median(run["latency_ms"] for run in plain),
         "lines": plain[0]["lines_per_frame"],
-        "stage_ms": {
-            stage: _median([run["stage_ms"][stage] for run in found["fps_serial"]]) for stage in plain[0]["stage_ms"]
-        },
+        "stage_ms": {stage: _median(spent[stage] for spent in serial_ms) for stage in plain[0]["stage_ms"]},
         "lsd_ms": _median(lsd_ms),
     }
 
@@ -190,19 +201,21 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
             elif kind == "mcap":
                 yield open_track_sink(f"{folder}/run.mcap")
 
-        before = _memory_mb("VmRSS")
+        before = memory_mb("VmRSS")
         _, summary = process(clip, config, open_sinks())
-        return {**summary.to_dict(), "peak_mb": round(_memory_mb("VmHWM") - before, 1)}
+        return {**summary.to_dict(), "peak_mb": round(memory_mb("VmHWM") - before, 1)}
 
 
 def time_lsd(clip: ClipSource) -> list[float]:
     """Milliseconds that OpenCV's LSD takes for frames all over the clip."""
     import cv2
+    import numpy as np
 
     detector = cv2.createLineSegmentDetector()
     spent = []
     for file in clip.files[:: max(1, len(clip.files) // LSD_FRAMES)]:
-        gray = _gray(file)
+        gray = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert gray is not None
         started = time.perf_counter()
         detector.detect(gray)
         spent.append(1e3 * (time.perf_counter() - started))
@@ -213,20 +226,8 @@ def table(sizes: dict[str, Figures]) -> Table:
     """One column per size."""
     from rich.table import Table
 
-    rows = {
-        "frames/s in series": "fps_serial",
-        "frames/s": "fps",
-        "frames/s into Rerun, in series": "fps_rerun_serial",
-        "frames/s into Rerun": "fps_rerun",
-        "frames/s into MCAP": "fps_mcap",
-        "latency, ms": "latency_ms",
-        "peak MB over torch": "peak_mb",
-        "peak MB over torch, with Rerun": "peak_mb_rerun",
-        "lines": "lines",
-        "OpenCV LSD, ms": "lsd_ms",
-    }
     shown = Table("", *sizes)
-    for title, key in rows.items():
+    for key, title in ROWS.items():
         shown.add_row(title, *(f"{figures[key]:.1f}" for figures in sizes.values()))
     stages = [stage for figures in sizes.values() for stage in figures["stage_ms"]]
     for stage in dict.fromkeys(stages):
@@ -234,21 +235,7 @@ def table(sizes: dict[str, Figures]) -> Table:
     return shown
 
 
-def _width_height(size: str) -> tuple[int, int]:
-    width, _, height = size.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
-        raise ConfigError(f"'{size}' is no size: give WIDTHxHEIGHT of 16 px and more, such as 640x480")
-    return int(width), int(height)
-
-
-def _gray(file: bytes) -> Any:
-    import cv2
-    import numpy as np
-
-    return cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_GRAYSCALE)
-
-
-def _memory_mb(field: str) -> float:
+def memory_mb(field: str) -> float:
     """Of this process: VmRSS is what it has now, VmHWM the most it had. NaN where the system does not say."""
     status = Path("/proc/self/status")  # getrusage would count the parent's memory before exec
     if not status.exists():
@@ -257,7 +244,7 @@ def _memory_mb(field: str) -> float:
     return int(lines[field].split()[0]) / 1024
 
 
-def _median(values: list[float]) -> float:
+def _median(values: Iterator[float] | list[float]) -> float:
     return round(statistics.median(values), 3)
 
 

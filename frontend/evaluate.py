@@ -8,17 +8,67 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sized
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airline.command import Parser, exit_code, write_json
+from airline.command import Parser, exit_code, number, write_json
 from airline.errors import InputError
 from frontend.cli.terminal import progress
 
 if TYPE_CHECKING:
-    from frontend.evaluation.clip import Clip
+    from rich.table import Table
+
+    from frontend.evaluation.metrics import Figures
     from frontend.evaluation.posed import PosedClip
+    from frontend.evaluation.truth import Clip
+
+LEGEND = """\
+All trackers get the same lines in the same run. A line counts where it is
+known which true line it belongs to.
+P, R: precision and recall of links, %. A link is a track seen in two
+  consecutive frames; it is right when both lines belong to the same true
+  line. wrong: how many links are not.
+IDF1: one track for each true line and one true line for each track, %.
+switch: changes of a true line's track per 100 frames; frag: those of them
+  after frames in which the true line was not tracked.
+length, med: frames in which a track was seen, mean and median. pure: mean
+  frames of a track on the true line that it was on most. of: mean frames in
+  which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
+across, along: the true line, about the true motion; rms.
+share: tracks of which all end points stay within 2 px of the line in space
+  that they agree on, %; length: mean frames of those. parallax: median, deg.
+ms: median time of a tracker's update."""
+
+Column = tuple[str, int, str]  # key, factor, format
+IDENTITIES: dict[str, Column] = {
+    "P": ("link_precision", 100, ".1f"),
+    "R": ("link_recall", 100, ".1f"),
+    "wrong": ("wrong_links", 1, "d"),
+    "IDF1": ("idf1", 100, ".1f"),
+    "switch": ("switches_per_100", 1, ".0f"),
+    "frag": ("fragments_per_100", 1, ".0f"),
+    "ms": ("ms", 1, ".1f"),
+}
+LENGTHS: dict[str, Column] = {
+    "tracks": ("tracks", 1, "d"),
+    "length": ("track_length_mean", 1, ".1f"),
+    "med": ("track_length_median", 1, ".0f"),
+    "pure": ("pure_length_mean", 1, ".1f"),
+    "of": ("visible_length_mean", 1, ".1f"),
+    ">=3": ("alive_3", 100, ".0f"),
+    ">=5": ("alive_5", 100, ".0f"),
+    ">=10": ("alive_10", 100, ".0f"),
+}
+END_POINTS: dict[str, Column] = {"across": ("jitter_across_px", 1, ".2f"), "along": ("jitter_along_px", 1, ".1f")}
+POSED: dict[str, Column] = {
+    "tracks": ("tracks_5", 1, "d"),
+    "consistent": ("consistent_tracks", 1, "d"),
+    "share": ("consistent_share", 100, ".1f"),
+    "length": ("consistent_length_mean", 1, ".1f"),
+    "parallax": ("parallax_deg", 1, ".2f"),
+    "ms": ("ms", 1, ".1f"),
+}
 
 
 def build_parser() -> Parser:
@@ -33,8 +83,8 @@ def build_parser() -> Parser:
     parser.add_argument("--photos", type=Path, metavar="DIR", help="also photographs of a folder, moved and degraded")
     parser.add_argument("--icl", type=Path, metavar="DIR", help="also frames with labelled lines and associations")
     parser.add_argument("--posed", type=Path, metavar="DIR", help="also a clip with poses, as KITTI has them")
-    parser.add_argument("--limit", type=int, metavar="N", help="use only the first N frames of each clip")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
+    parser.add_json()
     return parser
 
 
@@ -49,51 +99,45 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         AirLineError: an argument or file cannot be used.
     """
-    if options.limit is not None and options.limit < 2:
-        raise InputError("--limit must be at least 2: a track needs two frames")
-    if options.json is not None and not options.json.parent.is_dir():
-        raise InputError(f"no folder {options.json.parent}: create it, or give another --json file")
     from rich.console import Console
 
-    from frontend.evaluation.measure import airline, measure, measure_posed
-    from frontend.evaluation.tables import LEGEND, posed_table, sequence_tables
+    from airline.detector import AirLine
+    from frontend.evaluation.measure import measure, measure_posed
 
     clips, posed_clips = _chosen(options)
-    detect = airline()
+    detect = AirLine()
     sequences, posed = {}, {}
     for clip in clips:
-        with progress(clip.name, _length(clip, options.limit)) as tick:
+        with progress(clip.name, min(len(clip), options.limit or len(clip))) as tick:
             sequences[clip.name] = measure(clip, detect, options.limit, tick)
     for posed_clip in posed_clips:
-        with progress(posed_clip.name, _length(posed_clip, options.limit)) as tick:
+        with progress(posed_clip.name, min(len(posed_clip), options.limit or len(posed_clip))) as tick:
             posed[posed_clip.name] = measure_posed(posed_clip, detect, options.limit, tick)
     console = Console()
     if sequences:
-        for table in sequence_tables(sequences):
-            console.print(table)
+        console.print(_table("Identities", sequences, IDENTITIES))
+        console.print(_table("Tracks", sequences, LENGTHS))
+        console.print(_table("Jitter of the end points, px", sequences, END_POINTS))
     if posed:
-        console.print(posed_table(posed))
+        title = "Tracks seen in 5 frames and more, and those that are one line in space"
+        console.print(_table(title, posed, POSED))
     console.print(LEGEND)
     write_json(options.json, {"sequences": sequences, "posed": posed})
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
     """Clips with known identities and clips with known poses that the arguments name."""
+    from frontend.evaluation.icl import LabelledClip
+    from frontend.evaluation.moved import moved_photos
+    from frontend.evaluation.posed import PosedClip
     from frontend.evaluation.rendered import rendered_clips
 
-    clips, posed = rendered_clips(), []
+    clips = rendered_clips()
     if options.photos is not None:
-        from frontend.evaluation.moved import moved_photos
-
         clips += moved_photos(options.photos)
     if options.icl is not None:
-        from frontend.evaluation.icl import LabelledClip
-
         clips.append(LabelledClip(options.icl))
-    if options.posed is not None:
-        from frontend.evaluation.posed import PosedClip
-
-        posed.append(PosedClip(options.posed))
+    posed = [PosedClip(options.posed)] if options.posed is not None else []
     names = [clip.name for clip in clips] + [clip.name for clip in posed]
     wanted = options.sequence or names
     for name in wanted:
@@ -102,8 +146,23 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
     return [clip for clip in clips if clip.name in wanted], [clip for clip in posed if clip.name in wanted]
 
 
-def _length(clip: Sized, limit: int | None) -> int:
-    return len(clip) if limit is None else min(limit, len(clip))
+def _table(title: str, clips: Mapping[str, Mapping[str, Figures]], columns: Mapping[str, Column]) -> Table:
+    """A row per clip and tracker."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column(no_wrap=True, min_width=max(map(len, clips)))
+    table.add_column(no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right")
+    for clip, trackers in clips.items():
+        for k, (tracker, figures) in enumerate(trackers.items()):
+            values = ((figures[key], factor, form) for key, factor, form in columns.values())
+            texts = ("-" if value is None else format(value * factor, form) for value, factor, form in values)
+            table.add_row("" if k else clip, tracker, *texts)
+        table.add_section()
+    return table
 
 
 if __name__ == "__main__":

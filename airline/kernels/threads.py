@@ -22,7 +22,10 @@ GRACE = 10  # spins until who hands work over has begun its own part, and with t
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """How many cores this process may use: AIRLINE_CORES of the environment, or those that the system leaves it."""
+    given = os.environ.get("AIRLINE_CORES", "")
+    if given.isdecimal() and int(given):
+        return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

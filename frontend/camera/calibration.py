@@ -1,43 +1,76 @@
-"""Camera calibrations in the files that calibration tools write.
-
-What a file is shows in its content:
-
-- EuRoC / ASL `sensor.yaml`: `resolution`, `intrinsics`, `distortion_model`, `distortion_coefficients`.
-- Kalibr `camchain.yaml`: `cam0`, `cam1`, ..., each with `camera_model: pinhole`, `intrinsics`, `distortion_model`
-  (radtan, equidistant or none), `distortion_coeffs`, `resolution`.
-- ROS `camera_info` (camera_calibration, camera_info_manager; OpenCV's own calibration sample writes the same fields):
-  `image_width`, `image_height`, `camera_matrix`, `distortion_model`, `distortion_coefficients`. The camera is that of
-  the raw images.
-- JSON (or YAML) of eight fields: `width`, `height`, `fx`, `fy`, `cx`, `cy` in px with (0, 0) at the centre of the
-  top-left pixel, and optionally `distortion` ("none", "radial-tangential" or "equidistant") with `coefficients`.
-"""
+"""Camera calibrations in the files that calibration tools write; what a file is shows in its content."""
 
 from __future__ import annotations
 
+import json
 import logging
-import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
 
 from airline.errors import ConfigError, InputError
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
-from frontend.camera.plain_yaml import Tree, read_tree
 
 log = logging.getLogger(__name__)
 
-_MAX_BYTES = 256 * 1024
 MAX_SIDE = 65536  # px
 LARGEST = 1e9  # of any calibrated number; beyond it float32 pixels mean nothing
-_SIMPLE = frozenset({"width", "height", "fx", "fy", "cx", "cy", "distortion", "coefficients"})
+_MAX_BYTES = 256 * 1024
+_MAX_DEPTH = 32
 _CAMERA = re.compile(r"cam\d{1,4}")
+_OPENCV_SLIPS = re.compile(r"\A%YAML:1\.\d[^\n]*\n|!!opencv-matrix")  # a colon for a space, a tag of its own
+
+T = TypeVar("T")
+_Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
+_Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+_Two = Annotated[list[_Side], Meta(min_length=2, max_length=2)]
+_Four = Annotated[list[_Number], Meta(min_length=4, max_length=4)]
+_Nine = Annotated[list[_Number], Meta(min_length=9, max_length=9)]
+
+
+class _Euroc(Struct):
+    """EuRoC's `sensor.yaml`, and each of `cam0`, `cam1`, ... in Kalibr's `camchain.yaml`."""
+
+    resolution: _Two
+    intrinsics: _Four
+    camera_model: str = "pinhole"
+    distortion_model: str = "none"
+    distortion_coefficients: list[_Number] | None = None
+    distortion_coeffs: list[_Number] | None = None
+
+
+class _Ros(Struct):
+    """ROS's `camera_info` of the raw images; OpenCV's own calibration sample writes the same fields."""
+
+    image_width: _Side
+    image_height: _Side
+    camera_matrix: _Nine
+    distortion_coefficients: list[_Number]
+    distortion_model: str | None = None
+    fisheye_model: int = 0  # OpenCV's sample names no model
+
+
+class _Simple(Struct, forbid_unknown_fields=True):
+    """JSON or YAML of what `CameraModel` holds."""
+
+    width: _Side
+    height: _Side
+    fx: _Number
+    fy: _Number
+    cx: _Number
+    cy: _Number
+    distortion: str = "none"
+    coefficients: list[_Number] = []
 
 
 def read_calibration(path: str | os.PathLike[str], camera: str | None = None) -> CameraModel:
-    """Read a camera from a calibration file; the kind of the file is told by its content, see above.
+    """Read a camera from a calibration file.
 
     Args:
         path: the file.
@@ -49,25 +82,28 @@ def read_calibration(path: str | os.PathLike[str], camera: str | None = None) ->
         ConfigError: there is no such camera, or its model is not supported.
     """
     file = Path(path)
-    tree = read_tree(file, _MAX_BYTES)
-    if not isinstance(tree, dict):
-        raise InputError(_unknown(file))
-    chain = {name: entry for name, entry in tree.items() if _CAMERA.fullmatch(name) and isinstance(entry, dict)}
+    content = _read(file)
+    tree = content if isinstance(content, dict) else {}
+    chain = {name: entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name)) and isinstance(entry, dict)}
     if chain:
         name = _choose(chain, camera, file)
-        return _euroc(_Fields(chain[name], file, f"{name}."))
-    fields = _Fields(tree, file)
+        return _euroc(chain[name], file, f"{name}.")
     named = tree.get("camera_name")
-    if camera is not None and camera != named:
-        only = f"'{named}'" if isinstance(named, str) else "one that has no name"
+    if camera is not None and camera != str(named):
+        only = "one that has no name" if named is None else f"'{named}'"
         raise ConfigError(f"'{file}' has no camera '{camera}', its only camera is {only}")
     if "camera_matrix" in tree:
-        return _ros(fields)
+        return _ros(tree, file)
     if "intrinsics" in tree:
-        return _euroc(fields)
+        return _euroc(tree, file)
     if "fx" in tree:
-        return _simple(fields)
-    raise InputError(_unknown(file))
+        found = _checked(tree, _Simple, file)
+        pinhole = found.fx, found.fy, found.cx, found.cy
+        return _camera(file, (found.width, found.height), pinhole, found.distortion, found.coefficients)
+    raise InputError(
+        f"'{file}' is no camera calibration: give a EuRoC sensor.yaml, a Kalibr camchain, a ROS camera_info YAML, or "
+        'JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, "cy": 239.5}'
+    )
 
 
 def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
@@ -86,115 +122,113 @@ def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
     return camera.scaled(width, height)
 
 
-class _Fields:
-    """Checked access to the fields of a mapping; `prefix` completes their names in messages."""
-
-    def __init__(self, tree: Mapping[str, Tree], file: Path, prefix: str = "") -> None:
-        self.tree, self.file, self._prefix = tree, file, prefix
-
-    def wrong(self, name: str, what: str) -> InputError:
-        return InputError(f"'{self.file}': {self._prefix}{name} {what}")
-
-    def text(self, name: str, default: str | None = None) -> str:
-        value = self.tree.get(name, default)
-        if value is None:
-            raise self.wrong(name, "is missing")
-        if not isinstance(value, str):
-            raise self.wrong(name, "must be a name")
-        return value
-
-    def numbers(self, name: str, count: int | None = None) -> list[float]:
-        """A list of finite numbers, also in the form {rows, cols, data}."""
-        value = self.tree.get(name)
-        if isinstance(value, dict):
-            value = value.get("data")
-        if value is None:
-            raise self.wrong(name, "is missing")
-        if not isinstance(value, list) or any(isinstance(item, (dict, list)) for item in value):
-            raise self.wrong(name, "must be a list of numbers")
-        if count is not None and len(value) != count:
-            raise self.wrong(name, f"must hold {count} numbers, not {len(value)}")
-        return [self._number(name, item) for item in value]
-
-    def number(self, name: str) -> float:
-        if self.tree.get(name) is None:
-            raise self.wrong(name, "is missing")
-        return self._number(name, self.tree[name])
-
-    def size(self, name: str, value: float | None = None) -> int:
-        """A side of an image, px."""
-        number = self.number(name) if value is None else value
-        if not (1 <= number <= MAX_SIDE and number == int(number)):
-            raise self.wrong(name, f"must be 1 to {MAX_SIDE} px, not {number:g}")
-        return int(number)
-
-    def _number(self, name: str, value: Any) -> float:
-        try:
-            number = float(value) if isinstance(value, str) else math.nan
-        except ValueError:
-            number = math.nan
-        if not abs(number) <= LARGEST:  # NaN, too
-            shown = f"{value[:40]!r}" if isinstance(value, str) else "that"
-            raise self.wrong(name, f"must be a number, not {shown}")
-        return number
-
-    def camera(self, size: tuple[int, int], pinhole: list[float], model: str, coefficients: list[float]) -> CameraModel:
-        """The camera, from its size, (fx, fy, cx, cy), and distortion."""
-        fx, fy, cx, cy = pinhole
-        try:
-            return CameraModel(*size, fx, fy, cx, cy, *lens(model, coefficients))
-        except ConfigError as error:
-            raise ConfigError(f"'{self.file}': {error}") from None
-
-
-def _choose(chain: Mapping[str, Mapping[str, Tree]], wanted: str | None, file: Path) -> str:
+def _choose(chain: Mapping[str, Mapping[str, Any]], wanted: str | None, file: Path) -> str:
     if wanted is not None:
         for name, entry in chain.items():
             if wanted in (name, entry.get("rostopic")):
                 return name
         raise ConfigError(f"'{file}' has no camera '{wanted}': it has {', '.join(chain)}")
-    name = min(chain, key=lambda name: int(name[3:]))
+    first = min(chain, key=lambda name: int(name[3:]))
     if len(chain) > 1:
-        log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
-    return name
+        log.warning("'%s' holds %s: using %s", file, ", ".join(chain), first)
+    return first
 
 
-def _euroc(fields: _Fields) -> CameraModel:
-    """EuRoC and Kalibr, which differ in the name of the coefficients."""
-    model = fields.text("camera_model", "pinhole")
-    if model != "pinhole":
-        raise ConfigError(f"'{fields.file}': camera model '{model[:40]}' is not supported: calibrate with 'pinhole'")
-    width, height = fields.numbers("resolution", 2)
-    size = fields.size("resolution", width), fields.size("resolution", height)
-    pinhole = fields.numbers("intrinsics", 4)
-    name = "distortion_coeffs" if "distortion_coeffs" in fields.tree else "distortion_coefficients"
-    distortion = fields.text("distortion_model", "none")
-    without = distortion == "none" and name not in fields.tree
-    return fields.camera(size, pinhole, distortion, [] if without else fields.numbers(name))
+def _euroc(tree: Mapping[str, Any], file: Path, prefix: str = "") -> CameraModel:
+    found = _checked(tree, _Euroc, file, prefix)
+    if found.camera_model != "pinhole":
+        raise ConfigError(
+            f"'{file}': camera model '{found.camera_model[:40]}' is not supported: calibrate with 'pinhole'"
+        )
+    coefficients = found.distortion_coefficients if found.distortion_coeffs is None else found.distortion_coeffs
+    if coefficients is None and found.distortion_model != "none":
+        raise InputError(f"'{file}': {prefix}distortion_coefficients is missing")
+    return _camera(file, found.resolution, found.intrinsics, found.distortion_model, coefficients or [])
 
 
-def _ros(fields: _Fields) -> CameraModel:
-    size = fields.size("image_width"), fields.size("image_height")
-    k = fields.numbers("camera_matrix", 9)
+def _ros(tree: Mapping[str, Any], file: Path) -> CameraModel:
+    found = _checked(tree, _Ros, file)
+    k = found.camera_matrix
     if k[1] or k[3] or k[6] or k[7] or k[8] != 1:
-        raise fields.wrong("camera_matrix", "must be of the form fx 0 cx, 0 fy cy, 0 0 1")
-    fisheye = fields.tree.get("fisheye_model", "0") != "0"  # OpenCV's sample names no model
-    model = fields.text("distortion_model", "equidistant" if fisheye else "plumb_bob")
-    return fields.camera(size, [k[0], k[4], k[2], k[5]], model, fields.numbers("distortion_coefficients"))
+        raise InputError(f"'{file}': camera_matrix must be of the form fx 0 cx, 0 fy cy, 0 0 1")
+    model = found.distortion_model
+    if model is None:
+        model = "equidistant" if found.fisheye_model else "plumb_bob"
+    size = found.image_width, found.image_height
+    return _camera(file, size, (k[0], k[4], k[2], k[5]), model, found.distortion_coefficients)
 
 
-def _simple(fields: _Fields) -> CameraModel:
-    unknown = sorted(fields.tree.keys() - _SIMPLE)
-    if unknown:
-        raise fields.wrong(unknown[0][:40], f"is no field of a calibration: use {', '.join(sorted(_SIMPLE))}")
-    size = fields.size("width"), fields.size("height")
-    pinhole = [fields.number(name) for name in ("fx", "fy", "cx", "cy")]
-    coefficients = fields.numbers("coefficients") if "coefficients" in fields.tree else []
-    return fields.camera(size, pinhole, fields.text("distortion", "none"), coefficients)
+def _camera(
+    file: Path, size: Sequence[int], pinhole: Sequence[float], model: str, coefficients: list[float]
+) -> CameraModel:
+    """The camera, from its width and height, fx, fy, cx, cy, and distortion."""
+    try:
+        (width, height), (fx, fy, cx, cy) = size, pinhole
+        return CameraModel(width, height, fx, fy, cx, cy, *lens(model, coefficients))
+    except ConfigError as error:
+        raise ConfigError(f"'{file}': {error}") from None
 
 
-def _unknown(file: Path) -> str:
-    return (
-        f"'{file}' is no camera calibration: give a EuRoC sensor.yaml, a Kalibr camchain, a ROS camera_info YAML, or "
-        'JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, "cy": 239.5}'
-    )
+def _checked(tree: Mapping[str, Any], kind: type[T], file: Path, prefix: str = "") -> T:
+    """The fields of a mapping; lists may also have OpenCV's form {rows, cols, data}."""
+    fields = {name: value.get("data", value) if isinstance(value, dict) else value for name, value in tree.items()}
+    try:
+        return msgspec.convert(fields, kind)
+    except (msgspec.ValidationError, UnicodeError) as error:  # a lone surrogate
+        what, _, where = str(error).partition(" - at `$.")
+        place = (prefix + where).rstrip(".`")
+        raise InputError(f"'{file}'{place and ': '}{place}: {what[0].lower()}{what[1:]}") from None
+
+
+def _read(path: Path) -> Any:
+    """The content of a small JSON or YAML file; of several YAML documents the first.
+
+    Files come from strangers: long and deeply nested ones are refused, and so are anchors, with which a short file can
+    stand for gigabytes.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"'{path}' is not a text file") from None
+    except (OSError, ValueError) as error:  # no permission; a name that no file can have
+        raise InputError(f"cannot read '{path}': {error}") from None
+    if len(data) > _MAX_BYTES:
+        raise InputError(f"'{path}' is longer than the {_MAX_BYTES // 1024} KB that a calibration may have")
+    if text.lstrip().startswith("{"):
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"'{path}' is not valid JSON: {error}") from None
+    return _yaml(_OPENCV_SLIPS.sub("", text), path)
+
+
+def _yaml(text: str, path: Path) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.error import YAMLError
+
+    class Guarded(Composer):
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            anchor = getattr(self.parser.peek_event(), "anchor", None)
+            if anchor is not None:
+                raise InputError(f"'{path}' has the YAML anchor '{anchor}': write its value out instead")
+            if self.depth > _MAX_DEPTH:
+                raise InputError(f"'{path}' is nested deeper than {_MAX_DEPTH} levels")
+            self.depth += 1
+            node = super().compose_node(parent, index)
+            self.depth -= 1
+            return node
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer = Guarded
+    try:
+        return next(yaml.load_all(text), None)
+    except (YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:  # the parser's slips, too
+        problem = (getattr(error, "problem", None) or str(error)).partition("\n")[0]
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"'{path}' is not valid YAML{where}: {problem}") from None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
-from frontend.camera.model import Distortion
+from frontend.camera.model import COUNTS, Distortion
 
 _NONE = frozenset({"", "none", "no_distortion", "pinhole"})
 _RADIAL_TANGENTIAL = frozenset(
@@ -31,22 +31,21 @@ def lens(model: str, coefficients: Sequence[float]) -> tuple[Distortion, NDArray
     """
     name = model.strip().lower().replace("-", "_").replace(" ", "_")
     values = list(map(float, coefficients))
+    distortion: Distortion
     if name in _EQUIDISTANT:
-        return "equidistant", np.array(_cut(model, values, (4,)))
-    if not any(values) and (name in _NONE or name in _RADIAL_TANGENTIAL):
+        distortion = "equidistant"
+    elif not any(values) and (name in _NONE or name in _RADIAL_TANGENTIAL):
         return "none", np.zeros(0)
-    if name in _RADIAL_TANGENTIAL:
-        return "radial-tangential", np.array(_cut(model, values, (4, 5, 8)))
-    if name in _NONE:
+    elif name in _RADIAL_TANGENTIAL:
+        distortion = "radial-tangential"
+    elif name in _NONE:
         raise ConfigError(f"distortion '{model}' goes with no coefficients other than zeros, not with {len(values)}")
-    known = "plumb_bob (radtan), rational_polynomial or equidistant (fisheye, kannala_brandt)"
-    raise ConfigError(f"distortion model '{model[:40]}' is not supported: calibrate for {known}")
-
-
-def _cut(model: str, values: list[float], sizes: tuple[int, ...]) -> list[float]:
+    else:
+        known = "plumb_bob (radtan), rational_polynomial or equidistant (fisheye, kannala_brandt)"
+        raise ConfigError(f"distortion model '{model[:40]}' is not supported: calibrate for {known}")
     used = max((place for place, value in enumerate(values, 1) if value), default=0)
-    for size in sizes:
-        if used <= size <= len(values):
-            return values[:size]
-    expected = " or ".join(map(str, sizes))
+    for count in COUNTS[distortion]:
+        if used <= count <= len(values):
+            return distortion, np.array(values[:count])
+    expected = " or ".join(map(str, COUNTS[distortion]))
     raise ConfigError(f"distortion '{model}' takes {expected} coefficients, not {len(values)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -17,10 +17,8 @@ from frontend.camera.distortion import (
 )
 
 Distortion = Literal["none", "radial-tangential", "equidistant"]
-
-
-def _no_coefficients() -> NDArray[np.float64]:
-    return np.zeros(0)
+COUNTS: dict[str, tuple[int, ...]] = {"none": (0,), "radial-tangential": (4, 5, 8), "equidistant": (4,)}
+"""How many coefficients a distortion takes."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +26,15 @@ class CameraModel:
     """A pinhole camera with optional lens distortion.
 
     Attributes:
-        width, height: image size, px.
-        fx, fy, cx, cy: focal lengths and principal point, px, with (0, 0) at the centre of the top-left pixel.
+        width: of the image, px.
+        height: of the image, px.
+        fx: focal length, px.
+        fy: focal length, px.
+        cx: principal point, px, with (0, 0) at the centre of the top-left pixel.
+        cy: principal point, px.
         distortion: "none", "radial-tangential" (k1, k2, p1, p2[, k3[, k4, k5, k6]]: OpenCV, ROS plumb_bob and
             rational_polynomial) or "equidistant" (k1..k4: the Kannala-Brandt fisheye of OpenCV and Kalibr).
-        coefficients: the distortion's coefficients in that order.
+        coefficients: (K,) float64 of the distortion in that order.
     """
 
     width: int
@@ -42,14 +44,14 @@ class CameraModel:
     cx: float
     cy: float
     distortion: Distortion = "none"
-    coefficients: NDArray[np.float64] = field(default_factory=_no_coefficients)
+    coefficients: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        sizes = {"none": (0,), "radial-tangential": (4, 5, 8), "equidistant": (4,)}.get(self.distortion)
-        if sizes is None:
-            raise ConfigError(f"unknown distortion '{self.distortion}': use none, radial-tangential or equidistant")
-        if len(self.coefficients) not in sizes:
-            expected = " or ".join(map(str, sizes))
+        if self.distortion not in COUNTS:
+            raise ConfigError(f"unknown distortion '{self.distortion}': use {', '.join(COUNTS)}")
+        counts = COUNTS[self.distortion]
+        if len(self.coefficients) not in counts:
+            expected = " or ".join(map(str, counts))
             raise ConfigError(
                 f"{self.distortion} distortion takes {expected} coefficients, not {len(self.coefficients)}"
             )
@@ -62,10 +64,7 @@ class CameraModel:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
     def normalize(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Undistorted coordinates on the plane z = 1 of pixel positions; the inverse of `project`.
-
-        Args:
-            points: (..., 2) pixel positions (x, y).
+        """Undistorted coordinates on the plane z = 1 of pixel positions (..., 2); the inverse of `project`.
 
         Returns:
             (..., 2) float32 normalised coordinates, exact to float32. Both are NaN where the distortion has no inverse:
@@ -80,10 +79,7 @@ class CameraModel:
         return np.asarray(plane.reshape(np.shape(points)), np.float32)
 
     def project(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Pixel positions of undistorted coordinates on the plane z = 1; the inverse of `normalize`.
-
-        Args:
-            points: (..., 2) normalised coordinates (X / Z, Y / Z) of points before the camera.
+        """Pixel positions of (..., 2) undistorted coordinates (X / Z, Y / Z); the inverse of `normalize`.
 
         Returns:
             (..., 2) float32 px, which may lie outside of the image; NaN outside of the distortion's domain, where
@@ -100,13 +96,5 @@ class CameraModel:
     def scaled(self, width: int, height: int) -> CameraModel:
         """The same camera for images resized to width x height px."""
         sx, sy = width / self.width, height / self.height
-        return CameraModel(
-            width,
-            height,
-            self.fx * sx,
-            self.fy * sy,
-            (self.cx + 0.5) * sx - 0.5,
-            (self.cy + 0.5) * sy - 0.5,
-            self.distortion,
-            self.coefficients,
-        )
+        cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
+        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=cx, cy=cy)

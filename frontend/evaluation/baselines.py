@@ -10,13 +10,16 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from airline.errors import from_extra
 from airline.image import to_gray, to_uint8
 from airline.kernels.compiled import njit
 from airline.lines import LineSet
-from frontend.evaluation.record import Tracked
+from frontend.evaluation.truth import Tracked
 from frontend.frame import Frame
+
+with from_extra("evaluate"):
+    from scipy.optimize import linear_sum_assignment
 
 Segments = NDArray[np.float32]
 
@@ -136,10 +139,10 @@ def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untype
     costs = np.full((len(predicted), len(lines)), forbidden)
     for i in range(len(predicted)):
         for j in range(len(lines)):
-            distance_i, overlap_i, cosine = _lay(predicted[i], lines[j])
+            distance_i, overlap_i, cosine = _distance_and_overlap(predicted[i], lines[j])
             if cosine < MIN_COSINE or distance_i > 2 * max_distance:
                 continue
-            distance_j, overlap_j, _ = _lay(lines[j], predicted[i])
+            distance_j, overlap_j, _ = _distance_and_overlap(lines[j], predicted[i])
             distance, overlap = 0.5 * (distance_i + distance_j), 0.5 * (overlap_i + overlap_j)
             if distance <= max_distance and overlap >= MIN_OVERLAP:
                 costs[i, j] = distance + OVERLAP_WORTH * (1 - overlap)
@@ -147,7 +150,7 @@ def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untype
 
 
 @njit()
-def _lay(one, other):  # type: ignore[no-untyped-def]
+def _distance_and_overlap(one, other):  # type: ignore[no-untyped-def]
     """Mean distance of the ends of one line to another, share of the other that it covers, cosine between both."""
     ux, uy = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1]
     vx, vy = one[1, 0] - one[0, 0], one[1, 1] - one[0, 1]

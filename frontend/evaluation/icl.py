@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError
-from frontend.evaluation.clip import Truth
+from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
 
@@ -31,9 +31,6 @@ class LabelledClip:
 
     def __init__(self, folder: Path) -> None:
         self.name = folder.resolve().name
-        for part in ("images", "lines", "associations"):
-            if not (folder / part).is_dir():
-                raise InputError(f"no folder {folder / part}: labelled frames need images, lines and associations")
         self._images = list_images(folder / "images", FRAMES_PER_SECOND)
         self._truth = _chained(folder, [row.path.stem for row in self._images])
 

@@ -11,15 +11,12 @@ import numpy as np
 from airline.detector import AirLine
 from airline.lines import LineSet
 from frontend.evaluation.baselines import FlowTracker, NearestTracker
-from frontend.evaluation.clip import Clip
-from frontend.evaluation.metrics import Figures, score
+from frontend.evaluation.metrics import Figures, identity_scores
 from frontend.evaluation.posed import Observation, PosedClip, consistency
-from frontend.evaluation.record import Record, Tracked, Tracker
-from frontend.evaluation.truth import owners
+from frontend.evaluation.truth import Clip, Record, Tracked, Tracker, owners
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 
-Detect = Callable[[Frame], LineSet]
 Tick = Callable[[], None]
 
 
@@ -38,20 +35,8 @@ class OurTracker:
 TRACKERS: dict[str, Callable[[], Tracker]] = {"ours": OurTracker, "nearest": NearestTracker, "flow": FlowTracker}
 
 
-def airline() -> Detect:
-    """The detector with its default settings."""
-    detector = AirLine()
-    return lambda frame: detector(frame.image)
-
-
-def measure(clip: Clip, detect: Detect, limit: int | None = None, tick: Tick = lambda: None) -> dict[str, Figures]:
-    """Figures of every tracker on a clip with known identities.
-
-    Args:
-        clip: frames and truth.
-        detect: run once per frame; all trackers get its lines.
-        limit: use only the first so many frames.
-        tick: called after every frame.
+def measure(clip: Clip, detect: AirLine, limit: int | None, tick: Tick) -> dict[str, Figures]:
+    """Figures of every tracker on the first `limit` frames of a clip with known identities; all get the same lines.
 
     Raises:
         InputError: a frame cannot be read.
@@ -59,27 +44,22 @@ def measure(clip: Clip, detect: Detect, limit: int | None = None, tick: Tick = l
     trackers = {name: make() for name, make in TRACKERS.items()}
     records: dict[str, list[Record]] = {name: [] for name in trackers}
     for frame, truth in islice(clip, limit):
-        lines = detect(frame)
+        lines = detect(frame.image)
         line_owners = owners(lines.segments, truth)
         height, width = frame.image.shape[:2]
         for name, (tracked, ms) in _update(trackers, frame, lines).items():
             records[name].append(Record(tracked, line_owners, truth, (width, height), ms))
         tick()
-    return {name: score(run) for name, run in records.items()}
+    return {name: identity_scores(run) for name, run in records.items()}
 
 
-def measure_posed(
-    clip: PosedClip, detect: Detect, limit: int | None = None, tick: Tick = lambda: None
-) -> dict[str, Figures]:
-    """Figures of every tracker on a clip with known poses; same arguments and errors as `measure`.
-
-    What is triangulated are the detections: how well a tracker fuses them is not asked here.
-    """
+def measure_posed(clip: PosedClip, detect: AirLine, limit: int | None, tick: Tick) -> dict[str, Figures]:
+    """The same on a clip with known poses. What is triangulated are the detections, not what a tracker fuses."""
     trackers = {name: make() for name, make in TRACKERS.items()}
     tracks: dict[str, dict[int, list[Observation]]] = {name: {} for name in trackers}
     times: dict[str, list[float]] = {name: [] for name in trackers}
     for frame in islice(clip, limit):
-        lines = detect(frame)
+        lines = detect(frame.image)
         for name, (tracked, ms) in _update(trackers, frame, lines).items():
             times[name].append(ms)
             for track, row in zip(tracked.ids.tolist(), tracked.line_indices, strict=True):

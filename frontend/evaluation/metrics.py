@@ -7,28 +7,32 @@ one, count for nothing. Only detected lines can be tracked, so all figures are o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from frontend.evaluation.jitter import jitter
-from frontend.evaluation.record import Record
+from airline.errors import from_extra
+from frontend.evaluation.truth import Record
 
+with from_extra("evaluate"):
+    from scipy.optimize import linear_sum_assignment
+
+Array = NDArray[np.float64]
 Figures = dict[str, float | int | None]
 ALIVE = (3, 5, 10)  # frames
+BORDER = 2.0  # px: a true end point nearer to the image's border is where the image ends, not the line
 
 
-def score(records: Sequence[Record]) -> Figures:
+def identity_scores(records: Sequence[Record]) -> Figures:
     """All figures of a run, as the command's JSON has them; None where nothing is there to be measured.
 
     Lengths are numbers of frames in which a track, or a true line, was seen; `alive_5` is the share of the tracks
     that were seen in 5 frames or more. A fragment's frames are those of the track it is a piece of. A track that jumps
     from line to line lives long, so `pure_length_mean` counts only the frames of a track on its most usual true line.
     """
-    link, change = links(records), changes(records)
+    link, (switches, fragments) = links(records), changes(records)
     lengths, visible = track_lengths(records), _counts([record.detected for record in records])
     across, along = jitter(records)
     figures: Figures = {
@@ -36,8 +40,8 @@ def score(records: Sequence[Record]) -> Figures:
         "link_recall": _ratio(link.found, link.possible),
         "wrong_links": link.wrong,
         "idf1": idf1(records),
-        "switches_per_100": _ratio(100 * change.switches, len(records)),
-        "fragments_per_100": _ratio(100 * change.fragments, len(records)),
+        "switches_per_100": _ratio(100 * switches, len(records)),
+        "fragments_per_100": _ratio(100 * fragments, len(records)),
         "tracks": len(lengths),
         "track_length_mean": float(lengths.mean()) if len(lengths) else None,
         "track_length_median": float(np.median(lengths)) if len(lengths) else None,
@@ -48,11 +52,15 @@ def score(records: Sequence[Record]) -> Figures:
         "jitter_along_px": along,
         "ms": float(np.median([record.ms for record in records])) if records else None,
     }
+    return rounded(figures)
+
+
+def rounded(figures: Figures) -> Figures:
+    """The figures to four decimals."""
     return {key: round(value, 4) if isinstance(value, float) else value for key, value in figures.items()}
 
 
-@dataclass(frozen=True)
-class Links:
+class Links(NamedTuple):
     """Counts of links: a track seen in two consecutive frames, with a known true line in both.
 
     Attributes:
@@ -72,9 +80,7 @@ def links(records: Sequence[Record]) -> Links:
     """Links between all consecutive frames."""
     right = wrong = possible = found = 0
     for before, after in pairwise(records):
-        _, rows, later_rows = np.intersect1d(
-            before.tracked.ids, after.tracked.ids, assume_unique=True, return_indices=True
-        )
+        rows, later_rows = _linked(before, after)
         first, second = before.owners[rows], after.owners[later_rows]
         known = (first >= 0) & (second >= 0)
         same = known & (first == second)
@@ -118,23 +124,14 @@ def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
     return np.concatenate(claims)
 
 
-@dataclass(frozen=True)
-class Changes:
-    """Counts of changes of a true line's track.
+def changes(records: Sequence[Record]) -> tuple[int, int]:
+    """Changes of the main track of every true line: the last one if it still has the line, else the longest.
 
-    Attributes:
-        switches: the track is another one than in the frame in which the line was last tracked (the mismatches of
-            Bernardin and Stiefelhagen 2008).
-        fragments: those of them where the line was not tracked in between: it was missed or hidden, and came back
-            under another id.
+    Returns:
+        Switches: the track is another one than in the frame in which the line was last tracked (the mismatches of
+        Bernardin and Stiefelhagen 2008). Fragments: those of them where the line was not tracked in between: it was
+        missed or hidden, and came back under another id.
     """
-
-    switches: int
-    fragments: int
-
-
-def changes(records: Sequence[Record]) -> Changes:
-    """Changes of the main track of every true line: the last one if it still has the line, else the longest."""
     last: dict[int, tuple[int, int]] = {}  # true line: track, frame
     switches = fragments = 0
     for index, record in enumerate(records):
@@ -149,7 +146,7 @@ def changes(records: Sequence[Record]) -> Changes:
                 switches, fragments = switches + 1, fragments + (seen < index - 1)
                 track = tracks[0]
             last[line] = (track, index)
-    return Changes(switches, fragments)
+    return switches, fragments
 
 
 def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
@@ -177,6 +174,61 @@ def pure_length(records: Sequence[Record]) -> float | None:
     pairs, frames = np.unique(_claims(records)[:, 1:], axis=0, return_counts=True)
     _, start = np.unique(pairs[:, 0], return_index=True)
     return float(np.maximum.reduceat(frames, start).mean()) if len(start) else None
+
+
+def jitter(records: Sequence[Record]) -> tuple[float | None, float | None]:
+    """Root mean square jitter of the end points, px, across and along the true lines; None without any.
+
+    Across: an end point's signed distance to the true line. Along: its place along the true line, from the true end
+    point on its side; only of true lines in one piece, at ends that are not at the image's border. From one frame to
+    the next the two change by the difference of two errors, whose mean square is halved: a constant error or a slow
+    drift adds nothing. Only links with the same true line in both frames count.
+    """
+    steps = [np.zeros((0, 2, 2))]
+    for before, after in pairwise(records):
+        rows, later_rows = _linked(before, after)
+        same = (before.owners[rows] >= 0) & (before.owners[rows] == after.owners[later_rows])
+        rows, later_rows = rows[same], later_rows[same]
+        first, second = _true_lines(before, rows), _true_lines(after, later_rows)
+        segments = before.tracked.segments_px[rows]
+        backwards = ((segments[:, 1] - segments[:, 0]) * _unit(first)).sum(axis=1) < 0
+        steps.append(_deviation(after, later_rows, second, backwards) - _deviation(before, rows, first, backwards))
+    known = [step[~np.isnan(step)] for step in np.concatenate(steps).reshape(-1, 2).T]
+    across, along = (float(np.sqrt(0.5 * np.mean(step**2))) if len(step) else None for step in known)
+    return across, along
+
+
+def _linked(before: Record, after: Record) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of the tracks that are in both frames."""
+    return np.intersect1d(before.tracked.ids, after.tracked.ids, assume_unique=True, return_indices=True)[1:]
+
+
+def _true_lines(record: Record, rows: NDArray[np.intp]) -> Array:
+    """(N, 2, 2) the longest piece of the true line of each row, px."""
+    truth = record.truth
+    delta = truth.segments_px[:, 1] - truth.segments_px[:, 0]
+    order = np.lexsort((np.hypot(delta[:, 0], delta[:, 1]), truth.ids))
+    last = np.searchsorted(truth.ids[order], record.owners[rows], side="right") - 1
+    return truth.segments_px[order[last]].astype(np.float64)
+
+
+def _deviation(record: Record, rows: NDArray[np.intp], lines: Array, backwards: NDArray[np.bool_]) -> Array:
+    """(N, 2, 2) px, per end point, across and along from the true line, which `backwards` turns about; NaN: unknown."""
+    ends = np.where(backwards[:, None, None], lines[:, ::-1], lines)
+    direction = _unit(ends)
+    offset = record.tracked.segments_px[rows] - ends
+    across = offset[:, :, 1] * direction[:, None, 0] - offset[:, :, 0] * direction[:, None, 1]
+    along = np.einsum("nec,nc->ne", offset, direction)
+    limits = np.array(record.size) - 1 - BORDER
+    ids, pieces = np.unique(record.truth.ids, return_counts=True)
+    whole = pieces[np.searchsorted(ids, record.owners[rows])] == 1
+    along[~((ends > BORDER) & (ends < limits)).all(axis=2) | ~whole[:, None]] = np.nan
+    return np.stack([across, along], axis=2)
+
+
+def _unit(lines: Array) -> Array:
+    delta = lines[:, 1] - lines[:, 0]
+    return np.asarray(delta / np.hypot(delta[:, 0], delta[:, 1])[:, None])
 
 
 def _counts(ids: list[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.detector import AirLine
 from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
-from frontend.evaluation.clip import Clip, Truth
+from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
 from frontend.sources.opencv import decode_image
-
-if TYPE_CHECKING:
-    from airline import AirLine
 
 FRAMES_PER_SECOND = 30
 _VIEW = 0.75  # size of the clip's images over that of the photograph
@@ -32,19 +29,12 @@ _SMALLEST = 160  # px; a smaller photograph leaves no room to move in
 
 @dataclass(frozen=True)
 class MovedPhoto:
-    """A photograph seen by a moving camera. Lines are those that AirLine finds in the sharp photograph.
-
-    Attributes:
-        name: as the command line and the JSON name it.
-        photo: (H, W) uint8.
-        frames: length, at 30 frames per second.
-        seed: chooses the motion, the light and the noise.
-    """
+    """A photograph seen by a moving camera. Lines are those that AirLine finds in the sharp photograph."""
 
     name: str
-    photo: NDArray[np.uint8]
-    frames: int
-    seed: int
+    photo: NDArray[np.uint8]  # (H, W)
+    frames: int  # at 30 frames per second
+    seed: int  # of the motion, the light and the noise
 
     def __len__(self) -> int:
         return self.frames
@@ -63,8 +53,7 @@ class MovedPhoto:
 
     def homographies(self) -> NDArray[np.float64]:
         """(F, 3, 3) float64 frame_from_photo; every frame lies inside the photograph."""
-        height, width = self.photo.shape
-        return smooth_homographies((width, height), self.size, self.frames, self.seed)
+        return smooth_homographies(self.photo.shape[::-1], self.size, self.frames, self.seed)
 
     def _image(self, homography: NDArray[np.float64], i: int) -> NDArray[np.uint8]:
         """The photograph through the homography, with blur, gamma and noise that change slowly."""
@@ -76,17 +65,11 @@ class MovedPhoto:
         blurred = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), sigma)
         noise = np.random.default_rng([self.seed, 2, i]).standard_normal(seen.shape, np.float32)
         bright = 255 * (blurred / 255) ** np.float32(gamma) + 2.5 * noise
-        image: NDArray[np.uint8] = np.clip(np.round(bright), 0, 255).astype(np.uint8)
-        return image
+        return np.asarray(np.clip(np.round(bright), 0, 255), np.uint8)
 
 
 def moved_photos(folder: Path, count: int = 6, frames: int = 40) -> list[Clip]:
-    """Clips of photographs spread evenly over a folder in natural order, named after the folder and numbered from 1.
-
-    Args:
-        folder: with at least one image of 160x160 px or more.
-        count: how many; fewer where the folder has fewer.
-        frames: length of each.
+    """Clips of `count` photographs spread evenly over a folder, named after the folder and numbered from 1.
 
     Raises:
         InputError: there is no such folder, no image in it, or a chosen one is damaged or too small.
@@ -101,13 +84,16 @@ def smooth_homographies(photo: tuple[int, int], view: tuple[int, int], frames: i
     """The image motion of a hand-held camera before a plane: pan, rotation, zoom and perspective, each two slow waves.
 
     Args:
-        photo, view: (width, height), px; the view is the smaller one.
+        photo: (width, height), px.
+        view: likewise, smaller.
         frames: count.
         seed: chooses the waves.
 
     Returns:
         (F, 3, 3) float64 view_from_photo, scaled so that no corner of a view leaves the photograph.
     """
+    right, bottom = view[0] - 1, view[1] - 1
+    corners = np.array([[0, 0], [right, 0], [0, bottom], [right, bottom]], np.float64)
     rng = np.random.default_rng([seed, 0])
     t = np.arange(frames)[:, None]
     period, phase = rng.uniform((35, 11), (60, 17), (6, 2)), rng.uniform(0, 2 * np.pi, (6, 2))
@@ -115,7 +101,8 @@ def smooth_homographies(photo: tuple[int, int], view: tuple[int, int], frames: i
     waves *= (0.09 * photo[0], 0.09 * photo[1], 0.06, 0.05, 0.05 / view[0], 0.05 / view[1])
     while True:
         moves = np.stack([_homography(photo, view, wave) for wave in waves])
-        if _stays_inside(moves, photo, view):
+        seen = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
+        if (seen >= 0).all() and (seen <= np.array(photo) - 1).all():
             return moves
         waves *= 0.95
 
@@ -130,24 +117,11 @@ def _homography(photo: tuple[int, int], view: tuple[int, int], wave: NDArray[np.
     return np.asarray(to_corner @ tilt @ turn @ to_centre)
 
 
-def _stays_inside(moves: NDArray[np.float64], photo: tuple[int, int], view: tuple[int, int]) -> bool:
-    right, bottom = view[0] - 1, view[1] - 1
-    corners = np.array([[0, 0], [right, 0], [0, bottom], [right, bottom]], np.float64)
-    seen = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
-    return bool((seen >= 0).all() and (seen <= np.array(photo) - 1).all())
-
-
 def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], size: tuple[int, int]) -> Truth:
-    """What the view shows of lines of the photograph.
+    """What a view of `size` (width, height), px, shows of the photograph's lines (N, 2, 2).
 
-    Args:
-        lines: (N, 2, 2) px of the photograph.
-        homography: (3, 3) view_from_photo.
-        size: (width, height) of the view, px.
-
-    Returns:
-        The parts between the centres of the outermost pixels that are at least as long as a rendered clip's shortest
-        line; ids are rows of `lines`.
+    Those are the parts between the centres of the outermost pixels that are at least as long as a rendered clip's
+    shortest line; ids are rows of `lines`.
     """
     segments = warp(lines.astype(np.float64), homography)
     start, delta = segments[:, 0], segments[:, 1] - segments[:, 0]
@@ -177,8 +151,6 @@ def _read(path: Path) -> NDArray[np.uint8]:
     return to_uint8(to_gray(image))
 
 
-@lru_cache(maxsize=1)
+@cache
 def _detector() -> AirLine:
-    from airline import AirLine
-
     return AirLine()

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from airline.errors import InputError
+from airline.errors import InputError, from_extra
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
+from frontend.evaluation.metrics import Figures, rounded
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
+
+with from_extra("evaluate"):
+    from scipy.optimize import least_squares
 
 MIN_FRAMES = 5
 MAX_ERROR = 2.0  # px
@@ -58,28 +61,24 @@ class Observation:
     pose: NDArray[np.float64]
 
 
-def consistency(tracks: Sequence[Sequence[Observation]], K: NDArray[np.float64]) -> dict[str, float | int | None]:
+def consistency(tracks: Sequence[Sequence[Observation]], K: NDArray[np.float64]) -> Figures:
     """How many of the tracks seen in 5 frames and more are one line in space.
 
     Every such track is triangulated; it is consistent if the end points of all its observations are within 2 px of the
     reprojected infinite line. Lines that move by themselves are not, however well they are tracked; lines whose planes
     all agree (they point where the camera goes) always are: `parallax_deg` is the median angle between the farthest
     two planes of a track.
-
-    Args:
-        tracks: observations of every track, at least one of each.
-        K: (3, 3) intrinsic matrix.
     """
     long = [track for track in tracks if len(track) >= MIN_FRAMES]
     good = [len(track) for track in long if reprojection_errors(track, triangulate(track, K), K).max() <= MAX_ERROR]
-    figures = {
+    figures: Figures = {
         "tracks_5": len(long),
         "consistent_tracks": len(good),
         "consistent_share": len(good) / len(long) if long else None,
         "consistent_length_mean": float(np.mean(good)) if good else None,
         "parallax_deg": float(np.median([parallax(track, K) for track in long])) if long else None,
     }
-    return {key: round(value, 4) if isinstance(value, float) else value for key, value in figures.items()}
+    return rounded(figures)
 
 
 def triangulate(track: Sequence[Observation], K: NDArray[np.float64]) -> NDArray[np.float64]:

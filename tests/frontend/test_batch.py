@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import subprocess
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,19 @@ import pyarrow.parquet as pq
 import pytest
 
 from airline.errors import AirLineError
-from frontend.batch import main, run_batch
+from frontend import batch as batches
+from frontend.batch import job as jobs
+from frontend.batch import run_batch
+from frontend.batch.__main__ import main
+from frontend.batch.job import FIGURES, OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
+from frontend.batch.plan import job_settings, make_plan, reserved
 from frontend.cli.settings import RunConfig
-from frontend.fleet.job import OUTPUTS, Job, Recipe, run_job
-from frontend.fleet.plan import reserved
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
 from tests.helpers.command import ROOT, Outcome, command
 
 FRAMES = 8
-GOOD = {f"log{number}" for number in range(9)}
+GOOD = {f"log{number}" for number in range(3)}
 BROKEN = {"cut", "empty", "no_camera"}
 
 
@@ -38,7 +41,7 @@ def write_times(out: Path) -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def logs(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve logs, three of them broken."""
+    """Six logs, three of them broken."""
     folder = tmp_path_factory.mktemp("logs")
     for name in sorted(GOOD):
         camera_log(folder / f"{name}.mcap", clip)
@@ -58,7 +61,7 @@ def test_broken_recordings_fail_alone(first: tuple[Outcome, Path]) -> None:
     outcome, out = first
     assert outcome.code == 1
     assert visible(out) == GOOD
-    assert {path.name for path in (out / "log3").iterdir()} == {"tracks.parquet", "summary.json"}
+    assert {path.name for path in (out / "log2").iterdir()} == {"tracks.parquet", "summary.json"}
     failures = [line for line in outcome.out.splitlines() if line.startswith("failed ")]
     assert {line.split(":")[0].removeprefix("failed ") for line in failures} == BROKEN
     assert any("/chatter" in line or "no image" in line for line in failures)
@@ -75,16 +78,7 @@ def test_report_and_summaries_agree(first: tuple[Outcome, Path], logs: Path) -> 
         row, summary = rows[name], json.loads((out / name / "summary.json").read_text())
         assert (row["status"], row["reason"], row["attempts"], row["warnings"]) == ("done", None, 1, [])
         assert (row["input"], row["output"]) == (str(logs / f"{name}.mcap"), str(out / name))
-        for figure in (
-            "frames",
-            "skipped_frames",
-            "lines_per_frame",
-            "tracks",
-            "track_length_median",
-            "fps",
-            "seconds",
-        ):
-            assert row[figure] == summary[figure]
+        assert {figure: row[figure] for figure in FIGURES} == {figure: summary[figure] for figure in FIGURES}
         assert (row["frames"], row["tracks"] > 10, row["seconds"] > 0) == (FRAMES, True, True)
         assert summary["made_from"]["input"]["path"] == row["input"]
     for name in BROKEN:
@@ -95,7 +89,7 @@ def test_report_and_summaries_agree(first: tuple[Outcome, Path], logs: Path) -> 
 
 
 def test_tracks_are_those_of_a_single_run(first: tuple[Outcome, Path], logs: Path, tmp_path: Path) -> None:
-    assert command(logs / "log7.mcap", "--out", tmp_path / "alone.parquet").code == 0
+    assert command(logs / "log1.mcap", "--out", tmp_path / "alone.parquet").code == 0
     alone = pq.read_table(tmp_path / "alone.parquet")
     for name in GOOD:  # a worker's second recording as well as its first
         assert pq.read_table(first[1] / name / "tracks.parquet").equals(alone)
@@ -125,46 +119,93 @@ def test_what_has_changed_is_run_again(clip: Path, tmp_path: Path, monkeypatch: 
     before = write_times(out)
     stat = logs[0].stat()
     os.utime(logs[0], ns=(stat.st_atime_ns, stat.st_mtime_ns + 1))
-    changed = batch(*logs, "--out", out)
-    assert changed.code == 0
+    assert batch(*logs, "--out", out).code == 0
     assert {name: row["status"] for name, row in report_of(out).items()} == {"a": "done", "b": "skipped"}
     after = write_times(out)
     assert (after["a"] != before["a"], after["b"]) == (True, before["b"])
     other = ["--stride", 2, "--serial", "--preset", "fast", "--calib", "cam.json", "--write", *OUTPUTS]
-    assert batch(*logs, "--out", out, *other).code == 0
+    assert batch(logs[0], "--out", out, *other).code == 0
     assert {(row["status"], row["frames"]) for row in report_of(out).values()} == {("done", FRAMES // 2)}
     assert {path.name for path in (out / "a").iterdir()} == {*OUTPUTS.values(), "summary.json"}
     assert batch(logs[0], "--out", out, *other).code == 0
     assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "skipped")]
-    assert batch(logs[0], "--out", out, *other, "--overwrite").code == 0
-    assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "done")]
     assert visible(out) == {"a", "b"}
 
 
-def test_recordings_keep_the_names_of_their_results(clip: Path, tmp_path: Path) -> None:
-    first, second = (camera_log(tmp_path / folder / "x.mcap", clip) for folder in ("one", "two"))
-    out = tmp_path / "out"
-    (out / "foreign").mkdir(parents=True)
-    images = tmp_path / "foreign"  # somebody else's folder has that name
-    images.symlink_to(clip)
-    assert [row.name for row in run_batch([first, images], out)] == ["x", f"{tmp_path.name}-foreign"]
-    assert [row.name for row in run_batch([second], out)] == ["two-x"]
-    rows = run_batch([tmp_path / "*" / "x.mcap"], out)
-    assert [(row.name, row.status) for row in rows] == [("x", "skipped"), ("two-x", "skipped")]
-    assert not list((out / "foreign").iterdir())
+def test_recordings_keep_the_names_of_their_results(tmp_path: Path) -> None:
+    settings = job_settings(RunConfig(), ["parquet"])
+
+    def plan(*paths: Path, overwrite: bool = False) -> list[tuple[str, str]]:
+        rows, jobs = make_plan(paths, tmp_path, settings, overwrite=overwrite)
+        assert [job.name for job in jobs] == [name for name, row in rows.items() if row.status == "pending"]
+        for job in jobs:
+            job.folder.mkdir(exist_ok=True)
+            (job.folder / "summary.json").write_text(json.dumps({"frames": 3, "made_from": job.made_from}))
+        return [(name, row.status) for name, row in rows.items()]
+
+    (tmp_path / "foreign").mkdir()  # somebody else's folder
+    first, second, foreign = Path("/one/x.mcap"), Path("/two/x.mcap"), Path("/d/foreign.mcap")
+    assert plan(first, foreign) == [("x", "pending"), ("d-foreign", "pending")]
+    assert plan(second) == [("two-x", "pending")]
+    assert plan(first, second) == [("x", "skipped"), ("two-x", "skipped")]
+    assert plan(first, second, overwrite=True) == [("x", "pending"), ("two-x", "pending")]
+    (tmp_path / "x" / "summary.json").write_text("not ours")
+    assert plan(first, second) == [("one-x", "pending"), ("two-x", "skipped")]
 
 
-def test_unexpected_errors_are_reasons_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(spec: str, config: RunConfig) -> None:
-        logging.getLogger("logs").warning("%s looks odd", spec)
-        raise ZeroDivisionError("first\nsecond")
-
-    monkeypatch.setattr("frontend.cli.wiring.open_input", fail)
-    monkeypatch.setattr("frontend.fleet.job._settle", lambda cores: None)
-    row = run_job(Job("a", "/a.mcap", tmp_path / "a", {}), Recipe(RunConfig(), ("parquet",)))
-    assert (row.status, row.reason) == ("failed", "ZeroDivisionError: first second")
-    assert row.warnings == ("/a.mcap looks odd",)
+@pytest.mark.parametrize(
+    ("process", "reason"),
+    [
+        (
+            "print('WARNING: odd', file=sys.stderr); raise ZeroDivisionError('first')",
+            "ZeroDivisionError: first",
+        ),
+        ("sys.exit(1)", "exit code 1"),
+        ("os._exit(3)", WorkerDied("its worker ended by itself with exit code 3")),
+        ("os.kill(os.getpid(), 11)", WorkerDied("its worker was killed by SIGSEGV")),
+        ("os.kill(os.getpid(), 9)", WorkerDied("its worker was killed by SIGKILL (is there enough memory?)")),
+    ],
+)
+def test_the_end_of_a_process_is_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process: str, reason: str | WorkerDied
+) -> None:
+    monkeypatch.setattr(jobs, "_RUN", f"import os, sys; {process}")
+    ended = run_recording(Job("a", "/a.mcap", tmp_path / "a", {}), JobSettings(RunConfig(), ("parquet",)))
+    if isinstance(reason, WorkerDied):
+        assert ended == reason
+    else:
+        assert isinstance(ended, Row)
+        assert ended.status == "failed"
+        assert reason in str(ended.reason)
+        assert ended.warnings == (("odd",) if "odd" in process else ())
     assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_whose_worker_dies_is_tried_three_times(caplog: pytest.LogCaptureFixture) -> None:
+    started: list[str] = []
+
+    def submit(job: Job) -> Future[Row | WorkerDied]:
+        started.append(job.name)
+        future: Future[Row | WorkerDied] = Future()
+        if job.name == "always" or (job.name == "once" and started.count("once") == 1):
+            future.set_result(WorkerDied("its worker fell asleep"))
+        elif job.name == "raises":
+            future.set_exception(ModuleNotFoundError("No module named 'frontend'"))
+        else:
+            future.set_result(Row(job.name, job.input, "done"))
+        return future
+
+    names = ["always", "once", "raises", "good"]
+    rows = {row.name: row for row in batches._run_all([Job(name, "", Path(name), {}) for name in names], submit)}
+    assert {name: (row.status, row.attempts) for name, row in rows.items()} == {
+        "always": ("failed", 3),
+        "once": ("done", 2),
+        "raises": ("failed", 3),
+        "good": ("done", 1),
+    }
+    assert rows["always"].reason == "its worker fell asleep, 3 times"
+    assert "No module named 'frontend', 3 times" in str(rows["raises"].reason)
+    assert "once: its worker fell asleep; it will be run again" in caplog.text
 
 
 def test_two_batches_do_not_write_into_one_folder(tmp_path: Path) -> None:
@@ -216,7 +257,8 @@ def test_without_ray_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest
 
 
 def test_help_needs_none_of_the_heavy_packages() -> None:
-    start = "import sys; from frontend.batch import main\ntry: main(['--help'])\nexcept SystemExit: print(*sys.modules)"
+    start = "import sys; from frontend.batch.__main__ import main\n"
+    start += "try: main(['--help'])\nexcept SystemExit: print(*sys.modules)"
     environment: dict[str, Any] = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", start], env=environment, capture_output=True, text=True, check=True)
     assert "--ray" in done.stdout

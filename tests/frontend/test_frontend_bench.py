@@ -12,6 +12,7 @@ import pytest
 from frontend import bench
 from frontend.bench import ClipSource, load_clips, main
 from frontend.cli.settings import RunConfig
+from tests.helpers.command import command
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, [0] * 7), (2, [0, 1] * 3 + [0]), (4, [0, 1, 2, 3, 2, 1, 0])])
@@ -24,7 +25,7 @@ def test_the_clip_goes_forth_and_back(count: int, expected: list[int]) -> None:
 
 
 def test_every_size_shows_the_input(clip: Path) -> None:
-    sizes = ["160x120", "80x60", "320x200"]
+    sizes = [(160, 120), (80, 60), (320, 200)]
     clips = load_clips(str(clip), sizes, RunConfig())
     for size, files in clips.items():
         frames = list(ClipSource(files, 8))
@@ -62,11 +63,9 @@ def test_figures(
         (["--json", "no/such/folder.json"], "no folder no/such"),
     ],
 )
-def test_what_cannot_be_used_is_said_in_a_sentence(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("error: ")
-    assert message in err
-    assert err.count("\n") == 1
+def test_what_cannot_be_used_is_said_in_a_sentence(arguments: list[str], message: str) -> None:
+    outcome = command(*arguments, main=main)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: ")
+    assert message in outcome.err
+    assert outcome.err.count("\n") == 1

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from airline import ConfigError
 from airline.scenes import RenderedClip
 from frontend import Frame, LineTracker, TrackerConfig, TrackState
-from frontend.evaluation.clip import Truth
-from frontend.evaluation.truth import owners
+from frontend.evaluation.truth import Truth, owners
 from tests.helpers.tracking_frames import drawn, frame, line_set
 
 LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)

@@ -13,14 +13,12 @@ from airline import LineSet
 from airline.scenes.camera import rotation
 from frontend import Frame
 from frontend.evaluation.baselines import FlowTracker, NearestTracker
-from frontend.evaluation.clip import Truth
-from frontend.evaluation.jitter import jitter
-from frontend.evaluation.metrics import changes, idf1, links, pure_length, score, track_lengths
+from frontend.evaluation.metrics import changes, identity_scores, idf1, jitter, links, pure_length, track_lengths
 from frontend.evaluation.posed import Observation, consistency, parallax, reprojection_errors, triangulate
-from frontend.evaluation.record import Record, Tracked
-from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, owners
+from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Record, Tracked, Truth, owners
 
 SIZE = (200, 160)
+KNOWN_WHEN_EMPTY = {"wrong_links", "switches_per_100", "fragments_per_100", "tracks", "ms"}
 
 
 def lines(*rows: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -61,28 +59,31 @@ def test_short_lines_may_turn_farther(degrees: float, length: float, owned: bool
     assert (owners(lines(detected), truth([5], (10, 20, 110, 20)))[0] == 5) == owned
 
 
-def test_pieces_of_a_line_count_together() -> None:
-    pieces = truth([3, 3, 8], (10, 20, 40, 20), (60, 20, 90, 20), (10, 60, 90, 60))
-    assert owners(lines((10, 20, 90, 20), (62, 20, 88, 20), (10, 60, 50, 60)), pieces).tolist() == [3, 3, 8]
-
-
-def test_two_lines_side_by_side_are_ambiguous_between_them() -> None:
-    pair = truth([3, 8], (10, 20, 90, 20), (10, 21.8, 90, 21.8))
-    found = owners(lines((10, 20, 90, 20), (10, 20.5, 90, 20.5), (10, 21.1, 90, 21.1), (10, 22.2, 90, 22.2)), pair)
-    assert found.tolist() == [3, AMBIGUOUS, AMBIGUOUS, 8]
-
-
-def test_a_line_over_two_lines_end_to_end_is_ambiguous() -> None:
-    pair = truth([3, 8], (10, 20, 60, 20), (60, 20, 110, 20))
-    found = owners(lines((10, 20, 110, 20), (10, 20, 70, 20), (10, 20, 90, 20)), pair)
-    assert found.tolist() == [AMBIGUOUS, 3, AMBIGUOUS]
-
-
-def test_nothing_owns_nothing() -> None:
-    none = truth([])
-    assert owners(lines((0, 0, 9, 9)), none).tolist() == [UNKNOWN]
-    assert owners(lines(), truth([1], (0, 0, 9, 9))).tolist() == []
-    assert owners(lines((5, 5, 5, 5)), truth([1], (0, 0, 9, 9))).tolist() == [UNKNOWN]
+@pytest.mark.parametrize(
+    ("true", "found", "expected"),
+    [
+        (  # pieces of a line count together
+            truth([3, 3, 8], (10, 20, 40, 20), (60, 20, 90, 20), (10, 60, 90, 60)),
+            lines((10, 20, 90, 20), (62, 20, 88, 20), (10, 60, 50, 60)),
+            [3, 3, 8],
+        ),
+        (  # two lines side by side are ambiguous between them
+            truth([3, 8], (10, 20, 90, 20), (10, 21.8, 90, 21.8)),
+            lines((10, 20, 90, 20), (10, 20.5, 90, 20.5), (10, 21.1, 90, 21.1), (10, 22.2, 90, 22.2)),
+            [3, AMBIGUOUS, AMBIGUOUS, 8],
+        ),
+        (  # so is a line over two lines end to end
+            truth([3, 8], (10, 20, 60, 20), (60, 20, 110, 20)),
+            lines((10, 20, 110, 20), (10, 20, 70, 20), (10, 20, 90, 20)),
+            [AMBIGUOUS, 3, AMBIGUOUS],
+        ),
+        (truth([]), lines((0, 0, 9, 9)), [UNKNOWN]),
+        (truth([1], (0, 0, 9, 9)), lines(), []),
+        (truth([1], (0, 0, 9, 9)), lines((5, 5, 5, 5)), [UNKNOWN]),
+    ],
+)
+def test_owners_among_several_lines(true: Truth, found: NDArray[np.float32], expected: list[int]) -> None:
+    assert owners(found, true).tolist() == expected
 
 
 @settings(max_examples=50, deadline=None)
@@ -125,7 +126,7 @@ def run(
 
 def test_a_perfect_run() -> None:
     records = run(*[{7: 1, 9: 2, 11: 5}] * 10)
-    figures = score(records)
+    figures = identity_scores(records)
     assert (figures["link_precision"], figures["link_recall"], figures["idf1"]) == (1, 1, 1)
     assert (figures["wrong_links"], figures["switches_per_100"], figures["fragments_per_100"]) == (0, 0, 0)
     assert (figures["tracks"], figures["track_length_mean"], figures["pure_length_mean"]) == (3, 10, 10)
@@ -167,8 +168,7 @@ def test_a_known_fragment_is_no_second_claim() -> None:
 
 def test_changes() -> None:
     def counts(*frames: dict[int, int]) -> tuple[int, int]:
-        change = changes(run(*frames))
-        return change.switches, change.fragments
+        return changes(run(*frames))
 
     assert counts({0: 1}, {0: 1}, {5: 1}, {5: 1}) == (1, 0)
     assert counts({0: 1}, {}, {5: 1}) == (1, 1), "lost and found again under another id"
@@ -183,15 +183,11 @@ def test_lengths() -> None:
     records = run({0: 1, 1: 2}, {0: 1}, {0: 2, 3: UNKNOWN}, {3: UNKNOWN})
     assert track_lengths(records).tolist() == [3, 1, 2]
     assert pure_length(records) == pytest.approx((2 + 1) / 2), "a track on no known line has none"
-    figures = score(records)
+    figures = identity_scores(records)
     assert (figures["tracks"], figures["track_length_median"], figures["visible_length_mean"]) == (3, 2, 2)
     assert figures["alive_3"] == pytest.approx(1 / 3, abs=1e-4)
-
-
-def test_an_empty_run_has_no_figures() -> None:
-    figures = score(run({}, {}))
-    assert {figures[key] for key in ("link_precision", "link_recall", "idf1", "track_length_mean", "alive_3")} == {None}
-    assert (figures["tracks"], figures["jitter_across_px"], figures["jitter_along_px"]) == (0, None, None)
+    empty = identity_scores(run({}, {}))
+    assert {key for key, value in empty.items() if value is not None} <= KNOWN_WHEN_EMPTY
 
 
 @settings(max_examples=40, deadline=None)
@@ -201,8 +197,8 @@ def test_names_of_tracks_do_not_matter(seed: int) -> None:
     frames = [{int(t): int(rng.integers(-2, 6)) for t in rng.permutation(8)[: rng.integers(0, 8)]} for _ in range(6)]
     other = dict(zip(range(8), rng.permutation(50)[:8].tolist(), strict=True))
     renamed = [{other[track]: line for track, line in frame.items()} for frame in frames]
-    figures = score(run(*frames))
-    assert figures == score(run(*renamed))
+    figures = identity_scores(run(*frames))
+    assert figures == identity_scores(run(*renamed))
     for key in ("link_precision", "link_recall", "idf1"):
         assert figures[key] is None or 0 <= figures[key] <= 1
 
@@ -245,16 +241,9 @@ def test_a_constant_error_is_no_jitter() -> None:
     true = turning(50)
     unit = (true[:, 1] - true[:, 0])[:, None] / 60
     assert jittered(true + 5 * unit, true) == pytest.approx((0, 0), abs=1e-4)
-    assert jittered(true, true) == pytest.approx((0, 0), abs=1e-4)
-
-
-def test_turning_the_end_points_about_is_seen() -> None:
-    true = turning(10)
     flipped = true.copy()
-    flipped[5:] = flipped[5:, ::-1]
-    _, along = jittered(flipped, true)
-    assert along is not None
-    assert along > 10
+    flipped[25:] = flipped[25:, ::-1]
+    assert (jittered(flipped, true)[1] or 0) > 4, "ends that change places are seen"
 
 
 def test_ends_at_the_border_have_no_place_along() -> None:
@@ -337,7 +326,7 @@ def observed(
     return track
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_triangulation_finds_the_line(seed: int) -> None:
     rng = np.random.default_rng(seed)
     first, second = rng.uniform((8, -2, -1), (12, 2, 1), (2, 3))
@@ -346,16 +335,11 @@ def test_triangulation_finds_the_line(seed: int) -> None:
     for end in (first, second):
         away = end - point
         assert np.linalg.norm(away - (away @ direction) * direction) < 0.01
-    assert reprojection_errors(track, np.stack([point, direction]), K).max() < 0.01
-
-
-def test_errors_are_in_pixels() -> None:
-    track = observed(np.array([10.0, -1, 0]), np.array([10.0, 1, 1]))
-    line = triangulate(track, K)
-    moved = Observation(track[0].segment, track[0].pose)
-    delta = moved.segment[1] - moved.segment[0]
-    moved.segment[:] += 3 * delta[::-1] * (-1, 1) / np.linalg.norm(delta)
-    assert reprojection_errors([moved], line, K) == pytest.approx(np.full((1, 2), 3), abs=0.02)
+    line = np.stack([point, direction])
+    assert reprojection_errors(track, line, K).max() < 0.01
+    delta = track[0].segment[1] - track[0].segment[0]
+    track[0].segment[:] += 3 * delta[::-1] * (-1, 1) / np.linalg.norm(delta)
+    assert reprojection_errors(track[:1], line, K) == pytest.approx(np.full((1, 2), 3), abs=0.02), "in pixels"
 
 
 def test_consistency() -> None:
@@ -366,9 +350,7 @@ def test_consistency() -> None:
     assert (figures["tracks_5"], figures["consistent_tracks"], figures["consistent_share"]) == (2, 1, 0.5)
     assert figures["consistent_length_mean"] == 8
     assert consistency([good[:4]], K)["consistent_share"] is None
-
-
-def test_a_camera_that_stands_still_sees_no_parallax() -> None:
+    # a camera that stands still sees no parallax
     still = [observed(np.array([10.0, -1, 0]), np.array([9.0, 1, 1]))[0]] * 6
     assert parallax(still, K) == pytest.approx(0, abs=1e-4)
     assert consistency([still], K)["consistent_share"] == 1

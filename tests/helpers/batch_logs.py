@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +47,15 @@ def visible(out: Path) -> set[str]:
     return {path.name for path in out.iterdir() if not path.name.startswith(".")} - {"report.parquet"}
 
 
-def unfinished_pid(out: Path, name: str, seen: set[int] | None = None) -> int:
+def unfinished_pid(out: Path, name: str, seen: Collection[int] = ()) -> int:
     """The process that is in the middle of a recording; waits for one that has not been seen."""
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         for journal in out.glob(f".{name}.unfinished-*/tracks.parquet.unfinished"):
-            pid = int(journal.parent.name.split("-")[-2])
-            if pid not in (seen or ()):
-                return pid
+            for process in Path("/proc").glob("[0-9]*"):
+                with suppress(OSError):  # it has ended
+                    command = (process / "cmdline").read_text(errors="replace")
+                    if journal.parent.name in command and int(process.name) not in seen:
+                        return int(process.name)
         time.sleep(0.02)
     raise TimeoutError(f"{name} is not being run")

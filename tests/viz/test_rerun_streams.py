@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from frontend.evaluation.endurance import resident_mb
+from frontend.soak import resident_mb
 from tests.helpers.command import recorded
 from tests.helpers.moving_rectangle import frame_results
 from viz.rerun_sink import RerunSink

@@ -1,0 +1,80 @@
+"""The command line of `frontend.batch`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from airline.command import EXIT_USER_ERROR, Parser
+from airline.errors import AirLineError
+from frontend.batch import BatchInterrupted, run_batch
+from frontend.batch.job import OUTPUTS
+from frontend.cli.flags import add_settings, settings_of
+from frontend.cli.signals import EXIT_INTERRUPTED, ending_like_interrupts
+from frontend.cli.terminal import set_up_logging
+
+EXIT_SOME_FAILED = 1
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All flags."""
+    parser = Parser(
+        prog="python -m frontend.batch",
+        description="Run the frontend over many recordings, and go on where the last batch ended.",
+        epilog="Exit code: 0, 1 when a recording failed, 2 for errors you can mend, 130 after Ctrl-C.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "inputs", nargs="+", metavar="RECORDING", help="videos, logs, bag folders, image folders, and globs of such"
+    )
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of all results")
+    output.add_argument(
+        "--write",
+        nargs="+",
+        default=["parquet"],
+        choices=list(OUTPUTS),
+        metavar="KIND",
+        help=f"what to write for each recording: {', '.join(OUTPUTS)} (default: parquet)",
+    )
+    output.add_argument("--overwrite", action="store_true", help="run recordings that have results, too")
+    where = parser.add_argument_group("where it runs").add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="recordings at once (default: one per two cores)")
+    where.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="on a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT; see docs/batch.md",
+    )
+    add_settings(parser)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    options = build_parser().parse_args(arguments)
+    set_up_logging(0)
+    try:
+        from frontend.batch.plan import REPORT, summary_lines
+        from frontend.cli.settings import load
+
+        config = load(options.config, settings_of(options))
+        names = ("write", "workers", "ray", "overwrite")
+        given = {name: getattr(options, name) for name in names}
+        code = 0
+        try:
+            with ending_like_interrupts():
+                rows = run_batch(options.inputs, options.out, config=config, **given)
+        except BatchInterrupted as stop:
+            rows, code = stop.rows, EXIT_INTERRUPTED
+        print(*summary_lines(rows), f"report: {options.out / REPORT}", sep="\n")
+    except AirLineError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    return code or (EXIT_SOME_FAILED if any(row.status == "failed" for row in rows) else 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Many recordings: what there is to do, one recording, where it runs, what became of all."""
