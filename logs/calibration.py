@@ -1,21 +1,53 @@
-"""Cameras out of calibration messages, and which calibration topic belongs to which images.
+"""The camera of an image topic, as the log's own calibration messages have it.
 
 Fields mean what ROS's sensor_msgs/CameraInfo documents; those of foxglove.CameraCalibration are the same.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import islice
 
-from airline.errors import ConfigError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
-from logs.messages.types import CameraInfo
+from logs.files.types import LogFile
+from logs.messages.registry import is_calibration_type, reader_for
+from logs.messages.types import CameraInfo, UndecodableError
+from logs.topics import printable
+
+log = logging.getLogger(__name__)
 
 _RECTIFIED = frozenset({"rect", "rectified"})
+_TRIED = 50  # messages of a calibration topic
 _TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h264", "h265", "zstd", "draco"})
+
+
+def camera_from_log(file: LogFile, image_topic: str, size: tuple[int, int]) -> CameraModel | None:
+    """The camera that a log's calibration messages give for the images of a topic.
+
+    Args:
+        file: the log.
+        image_topic: name of the topic.
+        size: width and height of its images, px.
+
+    Returns:
+        None where the log has no calibration for the topic, or one that cannot be used, with a warning.
+    """
+    kinds = {name: topic.type for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)}
+    topic = info_topic_for(image_topic, list(kinds)) if kinds else None
+    info = _first_info(file, topic) if topic is not None else None
+    if info is None:
+        return None
+    try:
+        camera = camera_of(info, size, is_rectified(image_topic))
+    except AirLineError as error:
+        log.warning("%s: the calibration on %s cannot be used: %s", file.name, printable(topic or ""), error)
+        return None
+    return camera
 
 
 def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) -> CameraModel:
@@ -78,6 +110,20 @@ def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str
         return None
     nearest = [topic for topic in depths if depths[topic] == depth]
     return nearest[0] if len(nearest) == 1 else _by_name("".join(image[depth : depth + 1]), nearest)
+
+
+def _first_info(file: LogFile, topic: str) -> CameraInfo | None:
+    """The first readable message of a calibration topic."""
+    for message in islice(file.messages(topic), _TRIED):
+        read = reader_for(message.type.schema_name, message.type.encoding)
+        try:
+            record = read(message.data) if read else None
+        except UndecodableError as error:
+            log.debug("%s: a message on %s: %s", file.name, topic, error)
+            continue
+        if isinstance(record, CameraInfo):
+            return record
+    return None
 
 
 def _pinhole(info: CameraInfo, rectified: bool) -> tuple[float, float, float, float]:

@@ -10,7 +10,7 @@ from logs.files.types import LogFile, TopicType
 from logs.images.decoder import ImageDecoder
 from logs.messages.registry import is_calibration_type, is_image_type, reader_for
 from logs.messages.types import CameraInfo, RawImage, Record, UndecodableError
-from logs.topics import printable
+from logs.topics import mean_rate_hz, printable
 
 _TRIED = 300  # messages until one shows its size; a video may start long before a key frame
 
@@ -38,7 +38,10 @@ def camera_topics(file: LogFile) -> list[TopicRow]:
     names = sorted(file.topics)
     images = [name for name in names if is_image_type(file.topics[name].type.schema_name)]
     calibrations = [name for name in names if is_calibration_type(file.topics[name].type.schema_name)]
-    return [_row(file, name) for name in images + calibrations]
+    return [
+        TopicRow(name, file.topics[name].type, file.topics[name].count, mean_rate_hz(file, name), _size(file, name))
+        for name in images + calibrations
+    ]
 
 
 def as_text(rows: list[TopicRow]) -> str:
@@ -52,22 +55,6 @@ def as_text(rows: list[TopicRow]) -> str:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
     return "\n".join(line.rstrip() for line in lines)
-
-
-def _row(file: LogFile, name: str) -> TopicRow:
-    topic = file.topics[name]
-    return TopicRow(name, topic.type, topic.count, _rate_hz(file, name), _size(file, name))
-
-
-def _rate_hz(file: LogFile, name: str) -> float | None:
-    count = file.topics[name].count
-    if count is None or count < 2 or not file.indexed:
-        return None
-    first = next(file.messages(name), None)
-    last = next(file.messages(name, reverse=True), None)
-    if first is None or last is None or last.log_ns <= first.log_ns:
-        return None
-    return (count - 1) * 1e9 / (last.log_ns - first.log_ns)
 
 
 def _size(file: LogFile, name: str) -> tuple[int, int] | None:

@@ -10,14 +10,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
 
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
-from logs.camera_info import camera_from_log
+from logs.calibration import camera_from_log
 from logs.files.mcap_file import McapFile
 from logs.files.types import LogFile, LogMessage
 from logs.images.decoder import ImageDecoder, decode_still
@@ -25,14 +24,13 @@ from logs.messages.annexb import is_key_frame
 from logs.messages.registry import reader_for
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
 from logs.stamps import StampClock, TimeSource, own_stamp
-from logs.topics import choose_topic, printable
+from logs.topics import choose_topic, mean_rate_hz, printable
 
 log = logging.getLogger(__name__)
 
 _DECODERS = 2  # threads for JPEG, PNG and WebP
 _AHEAD = 4  # images decoded ahead of the one in use
-_MARGIN_NS = 10**9  # a message may be logged that much earlier than its stamp makes one expect
-_KEY_FRAME_DISTANCE = 1000  # messages
+_MARGIN_NS = 10**9  # a seek begins to look for its frame that much earlier
 
 Picture = RawImage | EncodedImage | VideoPacket
 
@@ -167,55 +165,39 @@ class LogImageSource:
     def _landing(self, clock: StampClock) -> tuple[int | None, int]:
         """The log time to read from for a seek, and the number of the message there.
 
-        The log's clock and the stamps' may run apart, so step back until a stamp at or before the start is found.
+        That is the last image at or before the start, of a video the last key frame. The log's clock and the stamps'
+        may run apart and key frames be rare, so look from farther back until there is one.
         """
         first, first_stamp_ns = self._first
-        if not self._file.indexed:
-            return None, 0
         back_ns = _MARGIN_NS
         while back_ns < self._start_ns:
-            start_ns = first.log_ns + self._start_ns - back_ns
-            landed = next(self._stamped(start_ns), None)
-            if landed is not None and landed[1] - first_stamp_ns <= self._start_ns:
-                key_ns = self._key_frame_before(landed[0].log_ns)
-                if key_ns is None or key_ns <= first.log_ns:
+            landed_ns = None
+            for message, record, stamp_ns in self._readable(first.log_ns + self._start_ns - back_ns):
+                if stamp_ns - first_stamp_ns > self._start_ns:
                     break
+                if not isinstance(record, VideoPacket) or is_key_frame(record):
+                    landed_ns = message.log_ns
+            if landed_ns is not None and landed_ns > first.log_ns:
                 clock.stamp(first_stamp_ns, first)
-                return key_ns, round((key_ns - first.log_ns) * 1e-9 * self._rate_hz)
-            back_ns = 4 * back_ns
+                rate_hz = mean_rate_hz(self._file, self._topic) or 0
+                return landed_ns, round((landed_ns - first.log_ns) * 1e-9 * rate_hz)
+            back_ns *= 4
         return None, 0
 
-    def _key_frame_before(self, log_ns: int) -> int | None:
-        """Where decoding has to begin for the message at `log_ns`: there, or for video at the key frame before it."""
-        for message in islice(self._file.messages(self._topic, log_ns + 1, reverse=True), _KEY_FRAME_DISTANCE):
-            try:
-                record = _picture(message)
-            except UndecodableError:
-                continue  # counted when it is read in order
-            if not isinstance(record, VideoPacket) or is_key_frame(record):
-                return message.log_ns
-        return None
-
-    def _stamped(self, start_ns: int | None = None) -> Iterator[tuple[LogMessage, int]]:
-        """Readable messages and their stamps, each by itself."""
+    def _readable(self, start_ns: int | None = None) -> Iterator[tuple[LogMessage, Picture, int]]:
+        """Messages, what they hold, and their stamps, each by itself."""
         for message in self._file.messages(self._topic, start_ns):
             try:
-                yield message, own_stamp(self._time_source, _picture(message).stamp_ns, message)
+                record = _picture(message)
+                yield message, record, own_stamp(self._time_source, record.stamp_ns, message)
             except UndecodableError:
                 continue  # counted when it is read in order
 
     @cached_property
     def _first(self) -> tuple[LogMessage, int]:
-        first = next(self._stamped(), None)
-        if first is None:
-            raise InputError(f"not one image of '{self.name}' can be read on {printable(self._topic)}")
-        return first
-
-    @cached_property
-    def _rate_hz(self) -> float:
-        count = self._promised or 0
-        last = next(self._file.messages(self._topic, reverse=True))
-        return (count - 1) * 1e9 / max(last.log_ns - self._first[0].log_ns, 1)
+        for message, _, stamp_ns in self._readable():
+            return message, stamp_ns
+        raise InputError(f"not one image of '{self.name}' can be read on {printable(self._topic)}")
 
     def _skip(self, number: int, error: UndecodableError) -> None:
         self._skips.add(f"message {number} on {printable(self._topic)}: {error}", reason=error.reason)

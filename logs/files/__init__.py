@@ -11,8 +11,11 @@ from airline.errors import InputError
 if TYPE_CHECKING:
     from logs.files.types import LogFile
 
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""What every MCAP file begins with."""
+
 _SUFFIXES = (".mcap", ".bag", ".db3")
-_MAGICS = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG V": ".bag", b"SQLite format 3\0": ".db3"}
+_MAGICS = {MCAP_MAGIC: ".mcap", b"#ROSBAG V": ".bag", b"SQLite format 3\0": ".db3"}
 _METADATA_BYTES = 4096
 
 

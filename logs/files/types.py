@@ -26,7 +26,7 @@ class Topic:
 
     Attributes:
         type: of its messages.
-        count: messages; None where only reading the whole log would tell.
+        count: messages; None where the log does not say.
     """
 
     type: TopicType
@@ -38,9 +38,11 @@ class LogMessage:
     """One message.
 
     Attributes:
-        topic, type: where it was sent, and what it is.
-        log_ns, publish_ns: when it was recorded and sent, ns, as the log has it.
-        data: the message, often a view into a buffer: it lives as long as somebody holds it.
+        topic: where it was sent.
+        type: what it is.
+        log_ns: when it was recorded, ns.
+        publish_ns: when it was sent, ns.
+        data: the message.
     """
 
     topic: str
@@ -65,23 +67,11 @@ class LogFile(Protocol):
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of all messages, ns; None where only reading the whole log would tell."""
+        """First and last log time of all messages, ns; None if there are none."""
         ...
 
-    def messages(self, topic: str, start_ns: int | None = None, *, reverse: bool = False) -> Iterator[LogMessage]:
-        """Messages of one topic in log-time order where the log has an index, else in the order of the file.
-
-        Args:
-            topic: one of `topics`.
-            start_ns: leave out messages logged earlier, without reading them where the log has an index.
-            reverse: from the last (before `start_ns`, where given: strictly earlier ones) to the first; only where
-                `indexed`.
-        """
-        ...
-
-    @property
-    def indexed(self) -> bool:
-        """Whether `messages` can begin anywhere without reading what comes before."""
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
+        """Messages of one of `topics` by log time; those logged before `start_ns` are left out and not read."""
         ...
 
     @property

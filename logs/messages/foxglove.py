@@ -18,8 +18,16 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage as ProtobufRawImage
 from google.protobuf.message import DecodeError, Message
 
 from logs.messages.annexb import video_format
-from logs.messages.stamps import stamp_ns
-from logs.messages.types import Bytes, CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
+from logs.messages.types import (
+    Bytes,
+    CameraInfo,
+    EncodedImage,
+    RawImage,
+    Record,
+    UndecodableError,
+    VideoPacket,
+    stamp_ns,
+)
 
 _PROTOBUF: dict[str, type[Message]] = {
     "RawImage": ProtobufRawImage,

@@ -15,8 +15,16 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from logs.messages.annexb import sniffed_video_format, video_format
-from logs.messages.stamps import stamp_ns
-from logs.messages.types import Bytes, CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
+from logs.messages.types import (
+    Bytes,
+    CameraInfo,
+    EncodedImage,
+    RawImage,
+    Record,
+    UndecodableError,
+    VideoPacket,
+    stamp_ns,
+)
 
 _DEPTH_HEADER = 12  # bytes that compressed_depth_image_transport puts before the image
 _PNG = b"\x89PNG"

@@ -10,7 +10,7 @@ import pytest
 
 from airline.image import to_uint8
 from logs.images.decoder import ImageDecoder
-from logs.images.sixteen_bits import SteadyScale
+from logs.images.decoder import SteadyScale
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from tests.helpers.camera_messages import picture, rendered
 

@@ -10,7 +10,7 @@ import pytest
 
 from airline.errors import InputError
 from frontend.protocols import Source
-from frontend.sources.selection import SeekableSource, select_frames
+from frontend.sources.selection import select_frames
 from logs import LogImageSource, McapImageSource, open_images
 from logs.files import open_log
 from logs.listing import as_text, camera_topics
@@ -34,7 +34,6 @@ def test_whole_log(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) 
     path = write_log(tmp_path / "drive.mcap", {"/camera": images(COUNT, kind=kind), "/chatter": text()})
     source = McapImageSource(path)
     assert isinstance(source, Source)
-    assert isinstance(source, SeekableSource)
     assert (source.name, source.frame_count, source.first_stamp_ns) == ("drive", COUNT, EPOCH_NS)
     frames = list(source)
     source.close()
@@ -158,8 +157,8 @@ def test_seek_reads_only_what_is_needed(tmp_path: Path, monkeypatch: pytest.Monk
     asked: list[int | None] = []
     messages = source._file.messages
 
-    def counted(topic: str, start_ns: int | None = None, *, reverse: bool = False):  # type: ignore[no-untyped-def]
-        for message in messages(topic, start_ns, reverse=reverse):
+    def counted(topic: str, start_ns: int | None = None):  # type: ignore[no-untyped-def]
+        for message in messages(topic, start_ns):
             asked.append(message.log_ns)
             yield message
 
