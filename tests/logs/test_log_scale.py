@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from airline.image import to_uint8
-from logs.images.decoder import ImageDecoder
-from logs.images.decoder import SteadyScale
+from logs.images.decoder import ImageDecoder, SteadyScale
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from tests.helpers.camera_messages import picture, rendered
 
