@@ -14,8 +14,8 @@ from mcap.writer import Writer
 
 from airline.command import Parser, exit_code
 from airline.errors import InputError
-from logs.files.mcap_chunks import CHUNK_LIMIT, UNREADABLE
 from logs.files.mcap_file import McapFile
+from logs.files.mcap_records import CHUNK_LIMIT, UNREADABLE
 from logs.sinks.output import check_new, errors_of
 
 

@@ -21,8 +21,8 @@ from mcap.writer import CompressionType
 
 from airline.errors import InputError
 from logs.files import MCAP_MAGIC
-from logs.files.mcap_chunks import CHUNK_LIMIT
 from logs.files.mcap_file import McapFile
+from logs.files.mcap_records import CHUNK_LIMIT
 from tests.helpers.mcap_logs import (
     CHANNELS,
     Sent,
