@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 
@@ -15,7 +16,7 @@ from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
 from logs.files.types import LogFile
-from logs.messages.registry import is_calibration_type, reader_for
+from logs.messages.registry import is_calibration_type, read_message
 from logs.messages.types import CameraInfo, UndecodableError
 from logs.topics import printable
 
@@ -37,17 +38,14 @@ def camera_from_log(file: LogFile, image_topic: str, size: tuple[int, int]) -> C
     Returns:
         None where the log has no calibration for the topic, or one that cannot be used, with a warning.
     """
-    kinds = {name: topic.type for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)}
-    topic = info_topic_for(image_topic, list(kinds)) if kinds else None
+    topics = [name for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)]
+    topic = info_topic_for(image_topic, topics)
     info = _first_info(file, topic) if topic is not None else None
-    if info is None:
-        return None
     try:
-        camera = camera_of(info, size, is_rectified(image_topic))
+        return None if info is None else camera_of(info, size, is_rectified(image_topic))
     except AirLineError as error:
         log.warning("%s: the calibration on %s cannot be used: %s", file.name, printable(topic or ""), error)
         return None
-    return camera
 
 
 def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) -> CameraModel:
@@ -115,14 +113,10 @@ def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str
 def _first_info(file: LogFile, topic: str) -> CameraInfo | None:
     """The first readable message of a calibration topic."""
     for message in islice(file.messages(topic), _TRIED):
-        read = reader_for(message.type.schema_name, message.type.encoding)
-        try:
-            record = read(message.data) if read else None
-        except UndecodableError as error:
-            log.debug("%s: a message on %s: %s", file.name, topic, error)
-            continue
-        if isinstance(record, CameraInfo):
-            return record
+        with suppress(UndecodableError):
+            record = read_message(message)
+            if isinstance(record, CameraInfo):
+                return record
     return None
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 
+from airline.errors import ConfigError
 from logs.files.types import LogFile, TopicType
 from logs.images.decoder import ImageDecoder
-from logs.messages.registry import is_calibration_type, is_image_type, reader_for
-from logs.messages.types import CameraInfo, RawImage, Record, UndecodableError
+from logs.messages.registry import is_calibration_type, is_image_type, read_message
+from logs.messages.types import CameraInfo, RawImage, UndecodableError
 from logs.topics import mean_rate_hz, printable
 
 _TRIED = 300  # messages until one shows its size; a video may start long before a key frame
@@ -59,25 +60,11 @@ def as_text(rows: list[TopicRow]) -> str:
 
 def _size(file: LogFile, name: str) -> tuple[int, int] | None:
     decoder = ImageDecoder()
-    for record in _records(file, name):
-        if isinstance(record, (RawImage, CameraInfo)):
-            return record.width, record.height
-        try:
-            images = decoder.decode(record)
-        except UndecodableError:
-            continue  # the run itself counts and reports them
-        if images:
-            height, width = images[0][1].shape[:2]
-            return width, height
-    return None
-
-
-def _records(file: LogFile, name: str) -> Iterator[Record]:
     for message in islice(file.messages(name), _TRIED):
-        read = reader_for(message.type.schema_name, message.type.encoding)
-        if read is None:
-            continue
-        try:
-            yield read(message.data)
-        except UndecodableError:
-            continue
+        with suppress(UndecodableError, ConfigError):  # the run itself reports them
+            record = read_message(message)
+            if isinstance(record, (RawImage, CameraInfo)):
+                return record.width, record.height
+            for _, image in decoder.decode(record):
+                return image.shape[1], image.shape[0]
+    return None

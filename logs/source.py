@@ -21,7 +21,7 @@ from logs.files.mcap_file import McapFile
 from logs.files.types import LogFile, LogMessage
 from logs.images.decoder import ImageDecoder, decode_still
 from logs.messages.annexb import is_key_frame
-from logs.messages.registry import reader_for
+from logs.messages.registry import read_message
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
 from logs.stamps import StampClock, TimeSource, own_stamp
 from logs.topics import choose_topic, mean_rate_hz, printable
@@ -229,10 +229,7 @@ class McapImageSource(LogImageSource):
 
 
 def _picture(message: LogMessage) -> Picture:
-    read = reader_for(message.type.schema_name, message.type.encoding)
-    if read is None:
-        raise UndecodableError("its type is not readable", printable(str(message.type)))
-    record = read(message.data)
+    record = read_message(message)
     if isinstance(record, CameraInfo):
         raise UndecodableError("it is no image", printable(str(message.type)))
     return record

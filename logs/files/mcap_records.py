@@ -12,11 +12,12 @@ import zlib
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -42,6 +43,19 @@ _MAX_RATIO = {"": 1, "lz4": 255, "zstd": 1 << 15}
 
 class DamageError(Exception):
     """A part of a file cannot be read; the message is the same for the same fault, so that faults can be counted."""
+
+
+class _Within(ReadDataStream):
+    """A record's part of the file, which is asked for no more than there is."""
+
+    def __init__(self, file: BinaryIO, length: int) -> None:
+        super().__init__(file)
+        self._length = length
+
+    def read(self, length: int) -> bytes:
+        if length > self._length - self.count:
+            raise EndOfFile
+        return super().read(length)
 
 
 class RecordFile:
@@ -74,14 +88,16 @@ class RecordFile:
         """Schemas, channels and messages of a chunk; raises DamageError."""
         if self.head(begin) != (Opcode.CHUNK, end):
             raise DamageError("damaged record")
-        begin += _HEAD.size
+        if end - begin > CHUNK_LIMIT:
+            raise DamageError("record of impossible size")
         try:
-            chunk = Chunk.read(ReadDataStream(BytesIO(self._read(begin, end - begin))))
+            self._file.seek(begin + _HEAD.size)
+            chunk = Chunk.read(_Within(self._file, end - begin - _HEAD.size))
             data = _decompressed(chunk)
             if len(data) != chunk.uncompressed_size:
                 raise DamageError("damaged chunk")
             return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
-        except (*UNREADABLE, zstandard.ZstdError, RuntimeError) as error:  # RuntimeError is lz4's
+        except (*UNREADABLE, OSError, zstandard.ZstdError, RuntimeError) as error:  # RuntimeError is lz4's
             raise DamageError("damaged chunk") from error
 
     def run(self, begin: int, end: int) -> list[McapRecord]:

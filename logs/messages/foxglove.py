@@ -6,7 +6,7 @@ protobuf and JSON; CDR has no room for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Annotated, Any
 
@@ -88,47 +88,25 @@ _JSON: dict[str, type[_JsonMessage]] = {
 }
 
 
-def _raw_image(message: Any, stamp: int) -> RawImage:
-    sizes = message.width, message.height
-    return RawImage(stamp, message.frame_id, *sizes, message.encoding, message.step, False, _data(message))
-
-
-def _compressed_image(message: Any, stamp: int) -> EncodedImage:
-    return EncodedImage(stamp, message.frame_id, _data(message))
-
-
-def _compressed_video(message: Any, stamp: int) -> VideoPacket:
+def _record(kind: str, message: Any, stamp: int) -> Record:
+    head = stamp, message.frame_id
+    if kind == "CameraCalibration":
+        capital = hasattr(message, "K")  # small letters in ROS 2
+        d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
+        r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        p = p or (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+        if (len(k), len(r), len(p)) != (9, 9, 12):
+            raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
+        return CameraInfo(*head, message.width, message.height, message.distortion_model, d, k, r, p)
+    data = message.data if isinstance(message.data, bytes) else message.data.data  # an array in CDR
+    if kind == "RawImage":
+        return RawImage(*head, message.width, message.height, message.encoding, message.step, False, data)
+    if kind == "CompressedImage":
+        return EncodedImage(*head, data)
     coding = video_format(message.format)
     if coding is None:
         raise UndecodableError("video format is not readable", message.format[:40])
-    return VideoPacket(stamp, message.frame_id, coding, _data(message))
-
-
-def _camera_calibration(message: Any, stamp: int) -> CameraInfo:
-    capital = hasattr(message, "K")  # small letters in ROS 2
-    d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
-    r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    p = p or _without_rectification(k)
-    if (len(k), len(r), len(p)) != (9, 9, 12):
-        raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
-    return CameraInfo(stamp, message.frame_id, message.width, message.height, message.distortion_model, d, k, r, p)
-
-
-def _data(message: Any) -> Bytes:
-    data: Bytes = message.data if isinstance(message.data, bytes) else message.data.data  # an array in CDR
-    return data
-
-
-def _without_rectification(k: Sequence[float]) -> tuple[float, ...]:
-    return (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
-
-
-_RECORDS: dict[str, Callable[[Any, int], Record]] = {
-    "RawImage": _raw_image,
-    "CompressedImage": _compressed_image,
-    "CompressedVideo": _compressed_video,
-    "CameraCalibration": _camera_calibration,
-}
+    return VideoPacket(*head, coding, data)
 
 
 def _read_protobuf(kind: str, data: Bytes) -> Record:
@@ -137,7 +115,7 @@ def _read_protobuf(kind: str, data: Bytes) -> Record:
         message.ParseFromString(data)
     except DecodeError as error:
         raise UndecodableError("damaged message", str(error)) from error
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
+    return _record(kind, message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
 
 
 def _read_json(kind: str, data: Bytes) -> Record:
@@ -145,7 +123,7 @@ def _read_json(kind: str, data: Bytes) -> Record:
         message = msgspec.json.decode(data, type=_JSON[kind])
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UndecodableError("damaged message", str(error)) from error
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
+    return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
 
 
 @cache
@@ -163,7 +141,7 @@ def _read_cdr(kind: str, data: Bytes) -> Record:
     from logs.messages.ros import read_cdr
 
     message = read_cdr(_cdr_store(), f"foxglove_msgs/msg/{kind}", data)
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
+    return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
 
 
 _READERS = {"protobuf": _read_protobuf, "json": _read_json, "cdr": _read_cdr}

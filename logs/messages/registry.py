@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from logs.messages.types import Bytes, Record
+from logs.messages.types import Bytes, Record, UndecodableError
+
+if TYPE_CHECKING:
+    from logs.files.types import LogMessage
 
 _IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket"}
 _CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
@@ -36,6 +40,18 @@ def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | N
         return None
     read: Callable[[Bytes], Record] = import_module(f"logs.messages.{module}").reader(name, encoding)
     return read
+
+
+def read_message(message: LogMessage) -> Record:
+    """What a message of a log says.
+
+    Raises:
+        UndecodableError: it is damaged, or of a type that is not readable.
+    """
+    read = reader_for(message.type.schema_name, message.type.encoding)
+    if read is None:
+        raise UndecodableError("its type is not readable", repr(str(message.type)))
+    return read(message.data)
 
 
 def is_image_type(schema_name: str) -> bool:

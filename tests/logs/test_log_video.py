@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from logs.images import video
 from logs.images.decoder import ImageDecoder
-from logs.images.video import VideoDecoder, is_key_frame
+from logs.images.video import VideoDecoder
+from logs.messages.annexb import is_key_frame
 from logs.messages.registry import reader_for
 from logs.messages.types import UndecodableError, VideoPacket
 from tests.helpers.camera_messages import STAMP_NS, cdr, picture
