@@ -38,10 +38,9 @@ Picture = RawImage | EncodedImage | VideoPacket
 class LogImageSource:
     """Images of one topic of a log: ROS 2, ROS 1 and Foxglove messages, raw, compressed or H.264 and H.265 video.
 
-    Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits with a scale that stays steady
-    over the stream. `Frame.camera` comes from the topic's calibration messages, where the log has them. Messages that
-    cannot be decoded and messages that repeat a frame are skipped, counted by reason, and keep their number. Of a cut
-    or damaged log all readable messages are used, with one warning.
+    Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits on a steady scale.
+    `Frame.camera` comes from the topic's calibration messages. Messages that cannot be decoded or repeat a frame are
+    skipped, counted by reason, and keep their number.
 
     Args:
         file: the opened log; the source closes it.
@@ -63,7 +62,6 @@ class LogImageSource:
         except InputError:
             self.close()
             raise
-        self._promised = file.topics[self._topic].count  # reading may find the log's own index false
 
     @property
     def name(self) -> str:
@@ -71,8 +69,8 @@ class LogImageSource:
 
     @property
     def frame_count(self) -> int | None:
-        """Messages on the topic; None where only reading the whole log would tell, and behind a seek."""
-        return None if self._start_ns else self._promised
+        """Messages on the topic; None where the log does not say, and behind a seek."""
+        return None if self._start_ns else self._file.topics[self._topic].count
 
     @property
     def skipped(self) -> int:
@@ -100,7 +98,10 @@ class LogImageSource:
                     camera = camera_from_log(self._file, self._topic, size)
                 yield Frame(number, stamp_ns, image, camera)
                 frames += 1
-            self._count_lost()
+            lost = (self.frame_count or 0) - self._seen
+            if lost > 0:
+                what = f"a message on {printable(self._topic)} in the damaged part of the log"
+                self._skips.add(what, lost, reason="lost in the log's damaged part")
         finally:
             self.close()
             self._skips.report(log)
@@ -202,24 +203,12 @@ class LogImageSource:
     def _skip(self, number: int, error: UndecodableError) -> None:
         self._skips.add(f"message {number} on {printable(self._topic)}: {error}", reason=error.reason)
 
-    def _count_lost(self) -> None:
-        """Count the topic's messages that the log says it has and that did not come."""
-        lost = 0 if self._start_ns else (self._promised or 0) - self._seen
-        if lost > 0:
-            what = f"a message on {printable(self._topic)} in the damaged part of the log"
-            self._skips.add(what, lost, reason="lost in the log's damaged part")
-
 
 class McapImageSource(LogImageSource):
-    """Images of one topic of an MCAP file; see `LogImageSource`.
-
-    Args:
-        path: the .mcap file.
-        topic: the image topic; may be left out if there is only one.
-        time_source: where stamps come from, see `StampClock`.
+    """Images of one topic of the MCAP file `path`; see `LogImageSource`.
 
     Raises:
-        InputError: no MCAP file, or no such topic; while iterating, when not one message can be decoded.
+        InputError: no MCAP file; and as `LogImageSource`.
     """
 
     def __init__(

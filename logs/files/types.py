@@ -22,12 +22,7 @@ class TopicType:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that has messages.
-
-    Attributes:
-        type: of its messages.
-        count: messages; None where the log does not say.
-    """
+    """A topic that has messages; `count` is None where the log does not say how many."""
 
     type: TopicType
     count: int | None
@@ -35,15 +30,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """One message.
-
-    Attributes:
-        topic: where it was sent.
-        type: what it is.
-        log_ns: when it was recorded, ns.
-        publish_ns: when it was sent, ns.
-        data: the message.
-    """
+    """One message: `log_ns` and `publish_ns` are when it was recorded and sent, ns."""
 
     topic: str
     type: TopicType

@@ -177,23 +177,19 @@ def _damaged(detail: str) -> UndecodableError:
     return UndecodableError("cut or damaged image", detail)
 
 
-_silent_lock = Lock()
-_silent_blocks = 0
-_former_level = 0
+_lock = Lock()
+_levels: list[int] = []  # OpenCV's log levels before each of the blocks that threads are in
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
     """Silence OpenCV's log while any thread is inside."""
-    global _silent_blocks, _former_level
-    with _silent_lock:
-        if not _silent_blocks:
-            _former_level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        _silent_blocks += 1
+    with _lock:
+        _levels.append(cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT))
     try:
         yield
     finally:
-        with _silent_lock:
-            _silent_blocks -= 1
-            if not _silent_blocks:
-                cv2.utils.logging.setLogLevel(_former_level)
+        with _lock:
+            former = _levels.pop()  # the first of them was not silent, and is the last to go
+            if not _levels:
+                cv2.utils.logging.setLogLevel(former)

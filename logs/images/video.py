@@ -19,6 +19,7 @@ with from_extra("video"):
     from av.video.frame import VideoFrame
     from av.video.reformatter import VideoReformatter
 
+_Stamped = tuple[int, NDArray[np.uint8]]
 _CODECS = {"h264": "h264", "h265": "hevc"}
 # The largest picture of the highest level of either standard (6.2); FFmpeg refuses more before it allocates.
 _MOST_PIXELS = 139_264 * 256
@@ -45,9 +46,9 @@ class VideoDecoder:
         self._codec: VideoCodecContext | None = None
         self._reformatter = VideoReformatter()
         self._waits = True
-        self._ready: list[tuple[int, NDArray[np.uint8]]] = []
+        self._ready: list[_Stamped] = []
 
-    def feed(self, packet: VideoPacket) -> list[tuple[int, NDArray[np.uint8]]]:
+    def feed(self, packet: VideoPacket) -> list[_Stamped]:
         """Decode one packet, which holds one picture.
 
         Returns:
@@ -71,12 +72,14 @@ class VideoDecoder:
         except _CorruptPictureError as error:  # what is inside may have been predicted from it
             self._start_afresh()
             raise UndecodableError("damaged video frame", "its picture is not whole") from error
-        ready, self._ready = self._ready, []
-        return ready
+        return self._taken()
 
-    def flush(self) -> list[tuple[int, NDArray[np.uint8]]]:
+    def flush(self) -> list[_Stamped]:
         """The images that are still inside; afterwards a new stream may begin."""
         self._drain()
+        return self._taken()
+
+    def _taken(self) -> list[_Stamped]:
         ready, self._ready = self._ready, []
         return ready
 

@@ -16,8 +16,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage as ProtobufRawImage
 from google.protobuf.message import DecodeError, Message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from logs.messages.annexb import video_format
+from logs.messages.ros import read_cdr
 from logs.messages.types import (
     Bytes,
     CameraInfo,
@@ -29,21 +32,6 @@ from logs.messages.types import (
     stamp_ns,
 )
 
-_PROTOBUF: dict[str, type[Message]] = {
-    "RawImage": ProtobufRawImage,
-    "CompressedImage": CompressedImage,
-    "CompressedVideo": CompressedVideo,
-    "CameraCalibration": CameraCalibration,
-}
-_CDR_FIELDS = {
-    "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
-    "CompressedImage": "uint8[] data\nstring format",
-    "CompressedVideo": "uint8[] data\nstring format",
-    "CameraCalibration": "uint32 width\nuint32 height\nstring distortion_model\n"
-    "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
-}
-
-
 _Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
 
@@ -52,7 +40,7 @@ class _JsonTime(msgspec.Struct):
     nsec: int
 
 
-class _JsonMessage(msgspec.Struct):
+class _JsonMessage(msgspec.Struct, kw_only=True):
     timestamp: _JsonTime
     frame_id: str = ""
 
@@ -80,11 +68,20 @@ class _JsonCalibration(_JsonMessage, kw_only=True):
     P: list[float] = []
 
 
-_JSON: dict[str, type[_JsonMessage]] = {
-    "RawImage": _JsonRawImage,
-    "CompressedImage": _JsonCompressed,
-    "CompressedVideo": _JsonCompressed,
-    "CameraCalibration": _JsonCalibration,
+# How each type is written down in each encoding.
+_TYPES: dict[str, tuple[type[Message], type[_JsonMessage], str]] = {
+    "RawImage": (
+        ProtobufRawImage,
+        _JsonRawImage,
+        "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
+    ),
+    "CompressedImage": (CompressedImage, _JsonCompressed, "uint8[] data\nstring format"),
+    "CompressedVideo": (CompressedVideo, _JsonCompressed, "uint8[] data\nstring format"),
+    "CameraCalibration": (
+        CameraCalibration,
+        _JsonCalibration,
+        "uint32 width\nuint32 height\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
+    ),
 }
 
 
@@ -110,7 +107,7 @@ def _record(kind: str, message: Any, stamp: int) -> Record:
 
 
 def _read_protobuf(kind: str, data: Bytes) -> Record:
-    message: Any = _PROTOBUF[kind]()
+    message: Any = _TYPES[kind][0]()
     try:
         message.ParseFromString(data)
     except DecodeError as error:
@@ -120,26 +117,22 @@ def _read_protobuf(kind: str, data: Bytes) -> Record:
 
 def _read_json(kind: str, data: Bytes) -> Record:
     try:
-        message = msgspec.json.decode(data, type=_JSON[kind])
+        message = msgspec.json.decode(data, type=_TYPES[kind][1])
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UndecodableError("damaged message", str(error)) from error
     return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
 
 
 @cache
-def _cdr_store() -> Any:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
+def _cdr_store() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for kind, fields in _CDR_FIELDS.items():
+    for kind, (_, _, fields) in _TYPES.items():
         text = f"builtin_interfaces/Time timestamp\nstring frame_id\n{fields}\n"
         store.register(get_types_from_msg(text, f"foxglove_msgs/msg/{kind}"))
     return store
 
 
 def _read_cdr(kind: str, data: Bytes) -> Record:
-    from logs.messages.ros import read_cdr
-
     message = read_cdr(_cdr_store(), f"foxglove_msgs/msg/{kind}", data)
     return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
 
