@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.data_stream import RecordBuilder
-from mcap.reader import SeekingReader
 from mcap.records import Chunk, Footer, McapRecord
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
@@ -107,28 +106,9 @@ def record_bytes(record: McapRecord) -> bytes:
     return builder.end()
 
 
-def chunk_bytes(stored: bytes, size: int, compression: str, crc: int = 0) -> bytes:
+def chunk_bytes(stored: bytes, size: int, compression: str) -> bytes:
     """A chunk record with any claim."""
-    return record_bytes(
-        Chunk(
-            compression=compression,
-            data=stored,
-            message_end_time=9,
-            message_start_time=1,
-            uncompressed_crc=crc,
-            uncompressed_size=size,
-        )
-    )
-
-
-def read_with_mcap(path: Path) -> list[Sent]:
-    """All messages, read strictly by the reference implementation."""
-    with path.open("rb") as file:
-        reader = SeekingReader(file, validate_crcs=True)
-        return [
-            Sent(channel.id, message.log_time, message.publish_time, message.sequence, bytes(message.data))
-            for _, channel, message in reader.iter_messages()
-        ]
+    return record_bytes(Chunk(compression, stored, 9, 1, 0, size))
 
 
 def on_topic(sent: Iterable[Sent], topic: str) -> list[tuple[int, int, str, bytes]]:

@@ -197,12 +197,6 @@ def test_which_calibration_belongs_to_an_image_topic(image: str, calibrations: l
     assert info_topic_for(image, calibrations[::-1]) == expected
 
 
-@given(st.text("/a_", max_size=8), st.lists(st.text("/a_b", max_size=8), max_size=4))
-def test_any_names_have_an_answer(image: str, calibrations: list[str]) -> None:
-    answer = info_topic_for(image, calibrations)
-    assert answer is None or answer in calibrations
-
-
 @pytest.mark.parametrize(
     ("topic", "rectified"),
     [

@@ -19,7 +19,7 @@ from logs.images.encoded import decode_encoded
 from logs.images.pixels import decode_pixels
 from logs.messages.registry import reader_for
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
-from tests.helpers.camera_messages import ROS1, ROS2, cdr, image_fields, picture, rendered, ros, ros1
+from tests.helpers.camera_messages import ROS1, ROS2, cdr, image_fields, picture, ros, ros1
 
 DEPTH = (np.random.default_rng(3).integers(0, 65536, (64, 96))).astype(np.uint16)
 BAYER_PATTERNS = ("rggb", "bggr", "gbrg", "grbg")
@@ -125,19 +125,6 @@ def test_raw_encodings_agree_with_rosbags_image(encoding: str) -> None:
     judge = message_to_cvimage(message, None if grey or encoding in ("8UC3", "8UC4") else "bgr8")
     ours = decode_pixels(RawImage(0, "", 96, 64, encoding, 0, False, data))
     np.testing.assert_array_equal(ours, judge[:, :, :3] if judge.ndim == 3 else judge)
-
-
-def test_only_the_right_bayer_pattern_restores_the_colours() -> None:
-    """In a picture of twice the size, where demosaicing is almost exact."""
-    large = cv2.resize(rendered(), (1280, 960), interpolation=cv2.INTER_CUBIC)
-    for sent in BAYER_PATTERNS:
-        errors = {}
-        for claimed in BAYER_PATTERNS:
-            raw = RawImage(0, "", 1280, 960, f"bayer_{claimed}8", 0, False, mosaic(large, sent).tobytes())
-            errors[claimed] = float(np.abs(decode_pixels(raw).astype(int) - large).mean())
-        right = errors.pop(sent)
-        assert right < 1
-        assert min(errors.values()) > 2 * right
 
 
 def test_one_pixel_of_each_bayer_colour() -> None:
@@ -347,13 +334,6 @@ def test_mutated_files(name: str, capfd: pytest.CaptureFixture[str]) -> None:
         if "png" in name and meant is not None:
             np.testing.assert_array_equal(image, meant)
     capfd.readouterr()  # libjpeg's own words on damage
-
-
-@given(head=st.sampled_from([b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"RIFF\xff\0\0\0WEBPVP8", b""]), rest=st.binary())
-@settings(max_examples=300, deadline=None)
-def test_any_file(head: bytes, rest: bytes) -> None:
-    with pytest.raises(UndecodableError):
-        decode_encoded(head + rest)
 
 
 def test_stills_decode_in_threads(capfd: pytest.CaptureFixture[str]) -> None:

