@@ -28,15 +28,9 @@ _TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h
 
 
 def camera_from_log(file: LogFile, image_topic: str, size: tuple[int, int]) -> CameraModel | None:
-    """The camera that a log's calibration messages give for the images of a topic.
+    """The camera that a log's calibration messages give for a topic's images of a size (width, height), px.
 
-    Args:
-        file: the log.
-        image_topic: name of the topic.
-        size: width and height of its images, px.
-
-    Returns:
-        None where the log has no calibration for the topic, or one that cannot be used, with a warning.
+    None where the log has no calibration for the topic, or one that cannot be used, with a warning.
     """
     topics = [name for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)]
     topic = info_topic_for(image_topic, topics)
@@ -85,14 +79,11 @@ def is_rectified(image_topic: str) -> bool:
 
 
 def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str | None:
-    """The calibration topic that belongs to an image topic.
+    """The calibration topic that belongs to an image topic; None where there is none, or it would be a guess.
 
     It is the one in the same namespace (`/cam/camera_info` for `/cam/image_raw/compressed`, `/cam/calibration` for
     `/cam/image`), or else in the nearest enclosing one except the root. The only calibration topic of a log is also
     taken from the root or from below the images' namespace. Of several in one namespace the name decides.
-
-    Returns:
-        None where there is none, or where it would be a guess between several.
     """
     image = _parts(image_topic)
     if len(image) > 1 and image[-1] in _TRANSPORTS:

@@ -16,14 +16,6 @@ from logs.messages.types import EncodedImage, RawImage, VideoPacket
 if TYPE_CHECKING:
     from logs.images.video import VideoDecoder
 
-# of SteadyScale
-_PERCENTILES = (0.5, 99.5)
-_MARGIN = 0.1
-_MOST_OUTSIDE = 0.05
-_LEAST_USED = 0.5
-_RATE = 0.2
-_REACHED = 0.02
-
 
 def decode_still(record: RawImage | EncodedImage) -> Image:
     """The image of one record, from any thread; see `decode_pixels` and `decode_encoded`.
@@ -76,10 +68,9 @@ class SteadyScale:
     """Maps the images of one stream from uint16 to uint8.
 
     The first image is stretched between its 0.5 and 99.5 percentiles, as `airline.image.to_uint8` does, and the
-    following ones by the same two values. They change only when the scene leaves them: when more than 5 % of an image
-    lie outside by more than a tenth of the range, or its own percentiles span less than half of the range. Then both
-    values move by a fifth of the way to the image's percentiles, image by image, until they are within 2 % of them. An
-    image of one value tells no range: it changes nothing, and where it was the first, the next counts as the first.
+    following ones by the same two values, until the scene leaves them: more than 5 % of an image lie outside by more
+    than a tenth of the range, or its own percentiles span less than half of it. Then both values move by a fifth of the
+    way to the image's percentiles, image by image, until they are within 2 %. An image of one value tells no range.
     """
 
     def __init__(self) -> None:
@@ -96,17 +87,16 @@ class SteadyScale:
         return scaled
 
     def _follow(self, sample: NDArray[np.uint16]) -> None:
-        own = np.percentile(sample, _PERCENTILES)
+        own = np.percentile(sample, (0.5, 99.5))
         if self._range is None or self._range[0] == self._range[1]:
             self._range = own
         if own[0] == own[1]:
             return
         low, high = self._range
         span = high - low
-        margin = _MARGIN * span
-        outside = np.count_nonzero(sample < low - margin) + np.count_nonzero(sample > high + margin)
-        if outside > _MOST_OUTSIDE * sample.size or own[1] - own[0] < _LEAST_USED * span:
+        outside = np.count_nonzero((sample < low - 0.1 * span) | (sample > high + 0.1 * span))
+        if outside > 0.05 * sample.size or own[1] - own[0] < 0.5 * span:
             self._moves = True
         if self._moves:
-            self._range = self._range + _RATE * (own - self._range)
-            self._moves = bool(np.abs(own - self._range).max() > _REACHED * span)
+            self._range = self._range + 0.2 * (own - self._range)
+            self._moves = bool(np.abs(own - self._range).max() > 0.02 * span)

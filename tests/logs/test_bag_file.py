@@ -76,9 +76,7 @@ def expected(kind: str = "") -> Expected:
 
 
 def read(bag: LogFile, start_ns: int | None = None) -> Expected:
-    messages = list(bag.messages(TOPIC, start_ns))
-    assert all(message.topic == TOPIC and message.publish_ns == message.log_ns for message in messages)
-    return [(message.log_ns, bytes(message.data)) for message in messages]
+    return [(message.log_ns, bytes(message.data)) for message in bag.messages(TOPIC, start_ns)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -102,27 +100,12 @@ def test_everything_comes_back_and_from_anywhere(tmp_path: Path, kind: str) -> N
     bag.close()
 
 
-@pytest.mark.parametrize("kind", ["none", "lz4", "sqlite", "mcap"])
-def test_agrees_with_rosbags_on_messages_out_of_order(tmp_path: Path, kind: str) -> None:
-    order = [*range(40, 0, -1), *range(60, 40, -1)]  # several ROS 1 chunks that overlap in time
-    path = write(tmp_path, kind, order)
-    if path.is_dir():
-        path = path.rename(tmp_path / "plain")
-    reader = rosbag2.Reader(path) if path.is_dir() else rosbag1.Reader(path)
-    with reader:
-        wanted = [connection for connection in reader.connections if connection.topic == TOPIC]
-        theirs = [(stamp_ns, bytes(data)) for _, stamp_ns, data in reader.messages(wanted)]
-    with closing(BagFile(path)) as bag:
-        assert read(bag) == theirs
-        assert [stamp_ns for stamp_ns, _ in theirs] == sorted(map(stamp, order))
-
-
-@pytest.mark.parametrize("percent", range(5, 100, 10))
-def test_a_cut_bag_is_a_clear_error(tmp_path: Path, percent: int) -> None:
+def test_a_cut_bag_is_a_clear_error(tmp_path: Path) -> None:
     data = write(tmp_path, "lz4").read_bytes()
-    (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
-    with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
-        BagFile(tmp_path / "cut.bag")
+    for percent in range(5, 100, 10):
+        (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
+        with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
+            BagFile(tmp_path / "cut.bag")
 
 
 @pytest.mark.parametrize(("kind", "magic"), [("bz2", b"BZh9"), ("lz4", b"\x04\x22\x4d\x18")])

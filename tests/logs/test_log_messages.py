@@ -31,23 +31,6 @@ IDR = b"\0\0\0\1\x67\x42\0\0\1\x65\x88"
 IDR_H265 = b"\0\0\0\1\x40\1\x0c"
 UNPADDED_P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
 
-IMAGE_DEFINITION = """std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-
 
 def read(schema: str, encoding: str, data: bytes) -> Record:
     reader = reader_for(schema, encoding)
@@ -153,7 +136,8 @@ def test_other_types() -> None:
 def test_mcap_ros2_writer_agrees() -> None:
     file = BytesIO()
     writer = Ros2Writer(file)
-    schema = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE_DEFINITION)
+    definition = ROS2.generate_msgdef("sensor_msgs/msg/Image", ros_version=2)[0]
+    schema = writer.register_msgdef("sensor_msgs/msg/Image", definition)
     header = {"stamp": {"sec": SEC, "nanosec": NSEC}, "frame_id": FRAME}
     writer.write_message("/camera", schema, {"header": header, **IMAGE, "data": PIXELS})
     writer.finish()
