@@ -115,7 +115,7 @@ class LogImageSource:
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
         decoder = ImageDecoder()
         waiting: deque[tuple[int, int, Future[Image]]] = deque()
-        packets: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
+        inside: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
 
         def oldest() -> Iterator[tuple[int, int, Image]]:
             number, stamp_ns, job = waiting.popleft()
@@ -124,27 +124,26 @@ class LogImageSource:
             except UndecodableError as error:
                 self._skip(number, error)
 
-        def now(number: int, record: RawImage | VideoPacket) -> Iterator[tuple[int, int, Image]]:
-            packets[record.stamp_ns] = number
-            try:
-                for stamp_ns, image in decoder.decode(record):
-                    yield packets.pop(stamp_ns, number), stamp_ns, image
-            except UndecodableError as error:
-                packets.pop(record.stamp_ns, None)
-                self._skip(number, error)
-
         with ThreadPoolExecutor(_DECODERS) as pool, closing(self._records()) as records:
             for number, record in records:
                 if isinstance(record, EncodedImage):
                     waiting.append((number, record.stamp_ns, pool.submit(decode_still, record)))
-                while len(waiting) > (_AHEAD if isinstance(record, EncodedImage) else 0):
+                    while len(waiting) > _AHEAD:
+                        yield from oldest()
+                    continue
+                while waiting:
                     yield from oldest()
-                if not isinstance(record, EncodedImage):
-                    yield from now(number, record)
+                inside[record.stamp_ns] = number
+                try:
+                    for stamp_ns, image in decoder.decode(record):
+                        yield inside.pop(stamp_ns, number), stamp_ns, image
+                except UndecodableError as error:
+                    inside.pop(record.stamp_ns, None)
+                    self._skip(number, error)
             while waiting:
                 yield from oldest()
             for stamp_ns, image in decoder.flush():
-                yield packets.pop(stamp_ns, number), stamp_ns, image
+                yield inside.pop(stamp_ns, number), stamp_ns, image
 
     def _records(self) -> Generator[tuple[int, Picture]]:
         """The topic's messages with their numbers, stamped by the clock."""

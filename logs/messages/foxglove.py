@@ -6,8 +6,7 @@ protobuf and JSON; CDR has no room for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Annotated, Any
 
 import msgspec
@@ -20,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from logs.messages.annexb import video_format
-from logs.messages.ros import read_cdr
+from logs.messages.ros import deserialise
 from logs.messages.types import (
     Bytes,
     CameraInfo,
@@ -106,21 +105,26 @@ def _record(kind: str, message: Any, stamp: int) -> Record:
     return VideoPacket(*head, coding, data)
 
 
-def _read_protobuf(kind: str, data: Bytes) -> Record:
-    message: Any = _TYPES[kind][0]()
+def read(kind: str, encoding: str, data: Bytes) -> Record:
+    """A message of "foxglove.<kind>" in "protobuf" or "json", or of "foxglove_msgs/<kind>" in "cdr".
+
+    Raises:
+        UndecodableError: the bytes are no such message.
+    """
+    protobuf, json, _ = _TYPES[kind]
+    message: Any
+    if encoding == "cdr":
+        message = deserialise(_cdr_store(), f"foxglove_msgs/msg/{kind}", "cdr", data)
+        return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
     try:
+        if encoding == "json":
+            message = msgspec.json.decode(data, type=json)
+            return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
+        message = protobuf()
         message.ParseFromString(data)
-    except DecodeError as error:
+        return _record(kind, message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
+    except (DecodeError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UndecodableError("damaged message", str(error)) from error
-    return _record(kind, message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
-
-
-def _read_json(kind: str, data: Bytes) -> Record:
-    try:
-        message = msgspec.json.decode(data, type=_TYPES[kind][1])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise UndecodableError("damaged message", str(error)) from error
-    return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
 
 
 @cache
@@ -130,21 +134,3 @@ def _cdr_store() -> Typestore:
         text = f"builtin_interfaces/Time timestamp\nstring frame_id\n{fields}\n"
         store.register(get_types_from_msg(text, f"foxglove_msgs/msg/{kind}"))
     return store
-
-
-def _read_cdr(kind: str, data: Bytes) -> Record:
-    message = read_cdr(_cdr_store(), f"foxglove_msgs/msg/{kind}", data)
-    return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
-
-
-_READERS = {"protobuf": _read_protobuf, "json": _read_json, "cdr": _read_cdr}
-
-
-def reader(name: str, encoding: str) -> Callable[[Bytes], Record]:
-    """How to read messages of "foxglove.<type>" in "protobuf" or "json", or of "foxglove_msgs/<type>" in "cdr".
-
-    Returns:
-        A function from a message to its record; it raises UndecodableError.
-    """
-    kind = name.removeprefix("foxglove.").removeprefix("foxglove_msgs/")
-    return partial(_READERS[encoding], kind)

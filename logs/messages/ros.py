@@ -6,7 +6,6 @@ https://docs.ros.org/en/rolling/p/sensor_msgs/
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -30,21 +29,12 @@ _DEPTH_HEADER = 12  # bytes that compressed_depth_image_transport puts before th
 _PNG = b"\x89PNG"
 
 
-def read_cdr(store: Typestore, type_name: str, data: Bytes) -> Any:
-    """Deserialise one CDR message of a type of the store.
-
-    Raises:
-        UndecodableError: the bytes are no such message.
-    """
+def deserialise(store: Typestore, type_name: str, encoding: str, data: Bytes) -> Any:
+    """A message of a type of the store, in "cdr" or "ros1"; raises UndecodableError: the bytes are no such message."""
     try:
+        if encoding == "ros1":
+            return store.deserialize_ros1(memoryview(data), type_name)
         return store.deserialize_cdr(memoryview(data), type_name)
-    except SerdeError as error:
-        raise UndecodableError("damaged message", str(error)) from error
-
-
-def _read_ros1(store: Typestore, type_name: str, data: Bytes) -> Any:
-    try:
-        return store.deserialize_ros1(memoryview(data), type_name)
     except SerdeError as error:
         raise UndecodableError("damaged message", str(error)) from error
 
@@ -78,17 +68,7 @@ def _compressed(head: tuple[int, str], text: str, data: memoryview) -> EncodedIm
 _store = cache(get_typestore)
 
 
-def reader(name: str, encoding: str) -> Callable[[Bytes], Record]:
-    """How to read messages of "sensor_msgs/<type>" in "cdr" or "ros1".
-
-    Returns:
-        A function from a message to its record, whose data are views into the message. It raises UndecodableError.
-    """
-    kind = name.removeprefix("sensor_msgs/")
+def read(kind: str, encoding: str, data: Bytes) -> Record:
+    """A message of "sensor_msgs/<kind>" in "cdr" or "ros1", whose data are views; raises UndecodableError."""
     store = _store(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
-    deserialise = _read_ros1 if encoding == "ros1" else read_cdr
-
-    def read(data: Bytes) -> Record:
-        return _record(kind, deserialise(store, f"sensor_msgs/msg/{kind}", data))
-
-    return read
+    return _record(kind, deserialise(store, f"sensor_msgs/msg/{kind}", encoding, data))
