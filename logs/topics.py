@@ -22,11 +22,11 @@ def choose_topic(topics: Mapping[str, Topic], wanted: str | None) -> str:
     if wanted is not None and wanted not in topics:
         hint = f"its image topics are {_listed(images)}" if images else f"it holds {_listed(topics)}"
         raise InputError(f"the log has no messages on topic '{printable(wanted)}': {hint}")
-    if wanted is not None and wanted not in readable:
+    if wanted is not None:
+        if wanted in readable:
+            return wanted
         reason = "is not readable" if wanted in images else "is no image"
         raise InputError(f"the log's topic {_listed({wanted: topics[wanted]})} {reason}")
-    if wanted is not None:
-        return wanted
     if not images:
         raise InputError(f"the log has no image topic; it holds {_listed(topics)}")
     if not readable:
