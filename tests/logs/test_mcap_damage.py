@@ -19,7 +19,6 @@ from mcap.records import DataEnd, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
-from airline.errors import InputError
 from logs.files import MCAP_MAGIC
 from logs.files.mcap_file import McapFile
 from logs.files.mcap_records import CHUNK_LIMIT
@@ -133,18 +132,6 @@ def test_a_damaged_head_costs_only_its_chunk(tmp_path: Path, open_log: Open, fie
         assert log.lost
 
 
-def test_damaged_length_of_a_message_outside_chunks(tmp_path: Path, open_log: Open) -> None:
-    path = write(tmp_path / "a.mcap", SENT, use_chunking=False)
-    data = bytearray(path.read_bytes())
-    place = data.find(SENT[30].data) - 31
-    for length in (1 << 60, 0):
-        data[place + 1 : place + 9] = struct.pack("<Q", length)
-        path.write_bytes(data)
-        log = open_log(path)
-        assert_read(log, SENT[:30])
-        assert log.lost == {BEHIND: 1}
-
-
 def test_zeros_at_the_end(tmp_path: Path, open_log: Open, caplog: pytest.LogCaptureFixture) -> None:
     """What a loss of power leaves on some file systems."""
     path = tmp_path / "a.mcap"
@@ -197,18 +184,6 @@ def test_bombs(tmp_path: Path, open_log: Open, name: str, caplog: pytest.LogCapt
     assert_warned_once(caplog)
 
 
-def test_messages_of_unknown_channels(tmp_path: Path, open_log: Open) -> None:
-    """The channels are defined in the first chunk, which is damaged, and there is no summary."""
-    path = tmp_path / "a.mcap"
-    places = write_chunks(path, CHUNKS)
-    data = bytearray(path.read_bytes()[: places[-1][1]])
-    data[places[0][1] - 1] ^= 1
-    path.write_bytes(data)
-    log = open_log(path)
-    assert not log.topics
-    assert log.lost == {"messages of unknown channels": len(SENT) - len(CHUNKS[0]), "damaged chunk": 1}
-
-
 def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> None:
     """The schema that a channel names is gone, so that nobody knows what its messages are."""
     path = write(tmp_path / "a.mcap", SENT[:12], use_chunking=False)
@@ -255,17 +230,3 @@ def test_mutations(
             if kind == "crc":
                 assert set(found) <= set(on_topic(SENT[:12], topic))
                 assert len(set(found)) == len(found)
-
-
-@given(content=st.binary(max_size=300))
-@settings(max_examples=100, deadline=2000)
-def test_random_bytes(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
-    path = tmp_path_factory.getbasetemp() / "random.mcap"
-    path.write_bytes(content)
-    if not content.startswith(MCAP_MAGIC):
-        with pytest.raises(InputError):
-            McapFile(path)
-    path.write_bytes(MCAP_MAGIC + content)
-    with closing(McapFile(path)) as log:
-        for topic in log.topics:
-            read(log, topic)
