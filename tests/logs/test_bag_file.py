@@ -26,11 +26,12 @@ TOPIC, OTHER = "/cam0/image_raw", "/imu0"
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 KINDS = ["none", "bz2", "lz4", "sqlite", "mcap", "sqlite messages", "mcap messages", "sqlite file", "db3"]
 
+PATTERN = bytes(range(251))
 Expected = list[tuple[int, bytes]]
 
 
 def content(number: int) -> bytes:
-    return b"\0\1\0\0" + struct.pack("<I", number) + bytes((number * 7 + k) % 251 for k in range(40_000))
+    return b"\0\1\0\0" + struct.pack("<I", number) + (PATTERN * 161)[number * 7 % 251 :][:40_000]
 
 
 def stamp(number: int) -> int:
