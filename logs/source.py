@@ -177,7 +177,9 @@ class LogImageSource:
                     break
                 if not isinstance(record, VideoPacket) or is_key_frame(record):
                     landed_ns = message.log_ns
-            if landed_ns is not None and landed_ns > first.log_ns:
+            if landed_ns == first.log_ns:
+                break
+            if landed_ns is not None:
                 clock.stamp(first_stamp_ns, first)
                 rate_hz = mean_rate_hz(self._file, self._topic) or 0
                 return landed_ns, round((landed_ns - first.log_ns) * 1e-9 * rate_hz)
