@@ -94,7 +94,7 @@ class RecordFile:
             self._file.seek(begin + _HEAD.size)
             chunk = Chunk.read(_Within(self._file, end - begin - _HEAD.size))
             data = _decompressed(chunk)
-            if len(data) != chunk.uncompressed_size:
+            if len(data) != chunk.uncompressed_size or not _is_filled(data):
                 raise DamageError("damaged chunk")
             return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
         except (*UNREADABLE, OSError, zstandard.ZstdError, RuntimeError) as error:  # RuntimeError is lz4's
@@ -147,6 +147,15 @@ class RecordFile:
         if len(data) != length:
             raise DamageError("damaged record")
         return data
+
+
+def _is_filled(data: bytes) -> bool:
+    """Whether records fill a chunk to its end; `mcap` cuts the last one off there, and takes zeros for records."""
+    place, opcode = 0, 1
+    while opcode and place < len(data):
+        opcode, length = _HEAD.unpack_from(data, place)
+        place += _HEAD.size + length
+    return place == len(data) and bool(opcode)
 
 
 def define(summary: Summary, record: Schema | Channel) -> None:

@@ -132,6 +132,17 @@ def test_a_damaged_head_costs_only_its_chunk(tmp_path: Path, open_log: Open, fie
         assert log.lost
 
 
+def test_a_chunk_without_crc_whose_records_do_not_fill_it(tmp_path: Path, open_log: Open) -> None:
+    path = tmp_path / "a.mcap"
+    places = write_chunks(path, CHUNKS, enable_crcs=False, compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    data[data.find(CHUNKS[5][3].data, *places[5]) - 26] = 255  # in the length of a message
+    path.write_bytes(data)
+    log = open_log(path)
+    assert_read(log, without(5))
+    assert log.lost == {"damaged chunk": 1}
+
+
 def test_zeros_at_the_end(tmp_path: Path, open_log: Open, caplog: pytest.LogCaptureFixture) -> None:
     """What a loss of power leaves on some file systems."""
     path = tmp_path / "a.mcap"
