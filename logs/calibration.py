@@ -1,21 +1,45 @@
-"""Cameras out of calibration messages, and which calibration topic belongs to which images.
+"""The camera of an image topic, as the log's own calibration messages have it.
 
 Fields mean what ROS's sensor_msgs/CameraInfo documents; those of foxglove.CameraCalibration are the same.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
-from airline.errors import ConfigError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
-from logs.messages.types import CameraInfo
+from logs.files.types import LogFile
+from logs.messages.registry import is_calibration_type, read_message
+from logs.messages.types import CameraInfo, UndecodableError
+from logs.topics import printable
+
+log = logging.getLogger(__name__)
 
 _RECTIFIED = frozenset({"rect", "rectified"})
+_TRIED = 50  # messages of a calibration topic
 _TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h264", "h265", "zstd", "draco"})
+
+
+def camera_from_log(file: LogFile, image_topic: str, size: tuple[int, int]) -> CameraModel | None:
+    """The camera that a log's calibration messages give for a topic's images of a size (width, height), px.
+
+    None where the log has no calibration for the topic, or one that cannot be used, with a warning.
+    """
+    topics = [name for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)]
+    topic = info_topic_for(image_topic, topics)
+    info = _first_info(file, topic) if topic is not None else None
+    try:
+        return None if info is None else camera_of(info, size, is_rectified(image_topic))
+    except AirLineError as error:
+        log.warning("%s: the calibration on %s cannot be used: %s", file.name, printable(topic or ""), error)
+        return None
 
 
 def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) -> CameraModel:
@@ -55,14 +79,11 @@ def is_rectified(image_topic: str) -> bool:
 
 
 def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str | None:
-    """The calibration topic that belongs to an image topic.
+    """The calibration topic that belongs to an image topic; None where there is none, or it would be a guess.
 
     It is the one in the same namespace (`/cam/camera_info` for `/cam/image_raw/compressed`, `/cam/calibration` for
     `/cam/image`), or else in the nearest enclosing one except the root. The only calibration topic of a log is also
     taken from the root or from below the images' namespace. Of several in one namespace the name decides.
-
-    Returns:
-        None where there is none, or where it would be a guess between several.
     """
     image = _parts(image_topic)
     if len(image) > 1 and image[-1] in _TRANSPORTS:
@@ -78,6 +99,16 @@ def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str
         return None
     nearest = [topic for topic in depths if depths[topic] == depth]
     return nearest[0] if len(nearest) == 1 else _by_name("".join(image[depth : depth + 1]), nearest)
+
+
+def _first_info(file: LogFile, topic: str) -> CameraInfo | None:
+    """The first readable message of a calibration topic."""
+    for message in islice(file.messages(topic), _TRIED):
+        with suppress(UndecodableError):
+            record = read_message(message)
+            if isinstance(record, CameraInfo):
+                return record
+    return None
 
 
 def _pinhole(info: CameraInfo, rectified: bool) -> tuple[float, float, float, float]:

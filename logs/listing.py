@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 
+from airline.errors import ConfigError
 from logs.files.types import LogFile, TopicType
 from logs.images.decoder import ImageDecoder
-from logs.messages.registry import is_calibration_type, is_image_type, reader_for
-from logs.messages.types import CameraInfo, RawImage, Record, UndecodableError
-from logs.topics import printable
+from logs.messages.registry import is_calibration_type, is_image_type, read_message
+from logs.messages.types import CameraInfo, RawImage, UndecodableError
+from logs.topics import mean_rate_hz, printable
 
 _TRIED = 300  # messages until one shows its size; a video may start long before a key frame
 
@@ -38,7 +39,10 @@ def camera_topics(file: LogFile) -> list[TopicRow]:
     names = sorted(file.topics)
     images = [name for name in names if is_image_type(file.topics[name].type.schema_name)]
     calibrations = [name for name in names if is_calibration_type(file.topics[name].type.schema_name)]
-    return [_row(file, name) for name in images + calibrations]
+    return [
+        TopicRow(name, file.topics[name].type, file.topics[name].count, mean_rate_hz(file, name), _size(file, name))
+        for name in images + calibrations
+    ]
 
 
 def as_text(rows: list[TopicRow]) -> str:
@@ -54,43 +58,13 @@ def as_text(rows: list[TopicRow]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _row(file: LogFile, name: str) -> TopicRow:
-    topic = file.topics[name]
-    return TopicRow(name, topic.type, topic.count, _rate_hz(file, name), _size(file, name))
-
-
-def _rate_hz(file: LogFile, name: str) -> float | None:
-    count = file.topics[name].count
-    if count is None or count < 2 or not file.indexed:
-        return None
-    first = next(file.messages(name), None)
-    last = next(file.messages(name, reverse=True), None)
-    if first is None or last is None or last.log_ns <= first.log_ns:
-        return None
-    return (count - 1) * 1e9 / (last.log_ns - first.log_ns)
-
-
 def _size(file: LogFile, name: str) -> tuple[int, int] | None:
     decoder = ImageDecoder()
-    for record in _records(file, name):
-        if isinstance(record, (RawImage, CameraInfo)):
-            return record.width, record.height
-        try:
-            images = decoder.decode(record)
-        except UndecodableError:
-            continue  # the run itself counts and reports them
-        if images:
-            height, width = images[0][1].shape[:2]
-            return width, height
-    return None
-
-
-def _records(file: LogFile, name: str) -> Iterator[Record]:
     for message in islice(file.messages(name), _TRIED):
-        read = reader_for(message.type.schema_name, message.type.encoding)
-        if read is None:
-            continue
-        try:
-            yield read(message.data)
-        except UndecodableError:
-            continue
+        with suppress(UndecodableError, ConfigError):  # the run itself reports them
+            record = read_message(message)
+            if isinstance(record, (RawImage, CameraInfo)):
+                return record.width, record.height
+            for _, image in decoder.decode(record):
+                return image.shape[1], image.shape[0]
+    return None

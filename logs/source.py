@@ -10,7 +10,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
 
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
@@ -18,22 +17,21 @@ from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
-from logs.camera_info import camera_from_log
+from logs.calibration import camera_from_log
 from logs.files.mcap_file import McapFile
 from logs.files.types import LogFile, LogMessage
 from logs.images.decoder import ImageDecoder, decode_still
 from logs.messages.annexb import is_key_frame
-from logs.messages.registry import reader_for
+from logs.messages.registry import read_message
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
 from logs.stamps import StampClock, TimeSource, own_stamp
-from logs.topics import choose_topic, printable
+from logs.topics import choose_topic, mean_rate_hz, printable
 
 log = logging.getLogger(__name__)
 
 _DECODERS = 2  # threads for JPEG, PNG and WebP
 _AHEAD = 4  # images decoded ahead of the one in use
-_MARGIN_NS = 10**9  # a message may be logged that much earlier than its stamp makes one expect
-_KEY_FRAME_DISTANCE = 1000  # messages
+_MARGIN_NS = 10**9  # a seek begins to look for its frame that much earlier
 
 Picture = RawImage | EncodedImage | VideoPacket
 
@@ -41,10 +39,9 @@ Picture = RawImage | EncodedImage | VideoPacket
 class LogImageSource(Source):
     """Images of one topic of a log: ROS 2, ROS 1 and Foxglove messages, raw, compressed or H.264 and H.265 video.
 
-    Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits with a scale that stays steady
-    over the stream. `Frame.camera` comes from the topic's calibration messages, where the log has them. Messages that
-    cannot be decoded and messages that repeat a frame are skipped, counted by reason, and keep their number. Of a cut
-    or damaged log all readable messages are used, with one warning.
+    Frames are uint8, (H, W) grey or (H, W, 3) BGR; 16-bit images are brought to 8 bits on a steady scale.
+    `Frame.camera` comes from the topic's calibration messages. Messages that cannot be decoded or repeat a frame are
+    skipped, counted by reason, and keep their number.
 
     Args:
         file: the opened log; the source closes it.
@@ -66,7 +63,6 @@ class LogImageSource(Source):
         except InputError:
             self.close()
             raise
-        self._promised = file.topics[self._topic].count  # reading may find the log's own index false
 
     @property
     def name(self) -> str:
@@ -74,8 +70,8 @@ class LogImageSource(Source):
 
     @property
     def frame_count(self) -> int | None:
-        """Messages on the topic; None where only reading the whole log would tell, and behind a seek."""
-        return None if self._start_ns else self._promised
+        """Messages on the topic; None where the log does not say, and behind a seek."""
+        return None if self._start_ns else self._file.topics[self._topic].count
 
     @property
     def skipped(self) -> int:
@@ -103,7 +99,10 @@ class LogImageSource(Source):
                     camera = camera_from_log(self._file, self._topic, size)
                 yield Frame(number, stamp_ns, image, camera)
                 frames += 1
-            self._count_lost()
+            lost = (self.frame_count or 0) - self._seen
+            if lost > 0:
+                what = f"a message on {printable(self._topic)} in the damaged part of the log"
+                self._skips.add(what, lost, reason="lost in the log's damaged part")
         finally:
             self.close()
             self._skips.report(log)
@@ -117,7 +116,7 @@ class LogImageSource(Source):
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
         decoder = ImageDecoder()
         waiting: deque[tuple[int, int, Future[Image]]] = deque()
-        packets: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
+        inside: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
 
         def oldest() -> Iterator[tuple[int, int, Image]]:
             number, stamp_ns, job = waiting.popleft()
@@ -126,27 +125,26 @@ class LogImageSource(Source):
             except UndecodableError as error:
                 self._skip(number, error)
 
-        def now(number: int, record: RawImage | VideoPacket) -> Iterator[tuple[int, int, Image]]:
-            packets[record.stamp_ns] = number
-            try:
-                for stamp_ns, image in decoder.decode(record):
-                    yield packets.pop(stamp_ns, number), stamp_ns, image
-            except UndecodableError as error:
-                packets.pop(record.stamp_ns, None)
-                self._skip(number, error)
-
         with ThreadPoolExecutor(_DECODERS) as pool, closing(self._records()) as records:
             for number, record in records:
                 if isinstance(record, EncodedImage):
                     waiting.append((number, record.stamp_ns, pool.submit(decode_still, record)))
-                while len(waiting) > (_AHEAD if isinstance(record, EncodedImage) else 0):
+                    while len(waiting) > _AHEAD:
+                        yield from oldest()
+                    continue
+                while waiting:
                     yield from oldest()
-                if not isinstance(record, EncodedImage):
-                    yield from now(number, record)
+                inside[record.stamp_ns] = number
+                try:
+                    for stamp_ns, image in decoder.decode(record):
+                        yield inside.pop(stamp_ns, number), stamp_ns, image
+                except UndecodableError as error:
+                    inside.pop(record.stamp_ns, None)
+                    self._skip(number, error)
             while waiting:
                 yield from oldest()
             for stamp_ns, image in decoder.flush():
-                yield packets.pop(stamp_ns, number), stamp_ns, image
+                yield inside.pop(stamp_ns, number), stamp_ns, image
 
     def _records(self) -> Generator[tuple[int, Picture]]:
         """The topic's messages with their numbers, stamped by the clock."""
@@ -168,77 +166,51 @@ class LogImageSource(Source):
     def _landing(self, clock: StampClock) -> tuple[int | None, int]:
         """The log time to read from for a seek, and the number of the message there.
 
-        The log's clock and the stamps' may run apart, so step back until a stamp at or before the start is found.
+        That is the last image at or before the start, of a video the last key frame. The log's clock and the stamps'
+        may run apart and key frames be rare, so look from farther back until there is one.
         """
         first, first_stamp_ns = self._first
-        if not self._file.indexed:
-            return None, 0
         back_ns = _MARGIN_NS
         while back_ns < self._start_ns:
-            start_ns = first.log_ns + self._start_ns - back_ns
-            landed = next(self._stamped(start_ns), None)
-            if landed is not None and landed[1] - first_stamp_ns <= self._start_ns:
-                key_ns = self._key_frame_before(landed[0].log_ns)
-                if key_ns is None or key_ns <= first.log_ns:
+            landed_ns = None
+            for message, record, stamp_ns in self._readable(first.log_ns + self._start_ns - back_ns):
+                if stamp_ns - first_stamp_ns > self._start_ns:
                     break
+                if not isinstance(record, VideoPacket) or is_key_frame(record):
+                    landed_ns = message.log_ns
+            if landed_ns == first.log_ns:
+                break
+            if landed_ns is not None:
                 clock.stamp(first_stamp_ns, first)
-                return key_ns, round((key_ns - first.log_ns) * 1e-9 * self._rate_hz)
-            back_ns = 4 * back_ns
+                rate_hz = mean_rate_hz(self._file, self._topic) or 0
+                return landed_ns, round((landed_ns - first.log_ns) * 1e-9 * rate_hz)
+            back_ns *= 4
         return None, 0
 
-    def _key_frame_before(self, log_ns: int) -> int | None:
-        """Where decoding has to begin for the message at `log_ns`: there, or for video at the key frame before it."""
-        for message in islice(self._file.messages(self._topic, log_ns + 1, reverse=True), _KEY_FRAME_DISTANCE):
-            try:
-                record = _picture(message)
-            except UndecodableError:
-                continue  # counted when it is read in order
-            if not isinstance(record, VideoPacket) or is_key_frame(record):
-                return message.log_ns
-        return None
-
-    def _stamped(self, start_ns: int | None = None) -> Iterator[tuple[LogMessage, int]]:
-        """Readable messages and their stamps, each by itself."""
+    def _readable(self, start_ns: int | None = None) -> Iterator[tuple[LogMessage, Picture, int]]:
+        """Messages, what they hold, and their stamps, each by itself."""
         for message in self._file.messages(self._topic, start_ns):
             try:
-                yield message, own_stamp(self._time_source, _picture(message).stamp_ns, message)
+                record = _picture(message)
+                yield message, record, own_stamp(self._time_source, record.stamp_ns, message)
             except UndecodableError:
                 continue  # counted when it is read in order
 
     @cached_property
     def _first(self) -> tuple[LogMessage, int]:
-        first = next(self._stamped(), None)
-        if first is None:
-            raise InputError(f"not one image of '{self.name}' can be read on {printable(self._topic)}")
-        return first
-
-    @cached_property
-    def _rate_hz(self) -> float:
-        count = self._promised or 0
-        last = next(self._file.messages(self._topic, reverse=True))
-        return (count - 1) * 1e9 / max(last.log_ns - self._first[0].log_ns, 1)
+        for message, _, stamp_ns in self._readable():
+            return message, stamp_ns
+        raise InputError(f"not one image of '{self.name}' can be read on {printable(self._topic)}")
 
     def _skip(self, number: int, error: UndecodableError) -> None:
         self._skips.add(f"message {number} on {printable(self._topic)}: {error}", reason=error.reason)
 
-    def _count_lost(self) -> None:
-        """Count the topic's messages that the log says it has and that did not come."""
-        lost = 0 if self._start_ns else (self._promised or 0) - self._seen
-        if lost > 0:
-            what = f"a message on {printable(self._topic)} in the damaged part of the log"
-            self._skips.add(what, lost, reason="lost in the log's damaged part")
-
 
 class McapImageSource(LogImageSource):
-    """Images of one topic of an MCAP file; see `LogImageSource`.
-
-    Args:
-        path: the .mcap file.
-        topic: the image topic; may be left out if there is only one.
-        time_source: where stamps come from, see `StampClock`.
+    """Images of one topic of the MCAP file `path`; see `LogImageSource`.
 
     Raises:
-        InputError: no MCAP file, or no such topic; while iterating, when not one message can be decoded.
+        InputError: no MCAP file; and as `LogImageSource`.
     """
 
     def __init__(
@@ -248,10 +220,7 @@ class McapImageSource(LogImageSource):
 
 
 def _picture(message: LogMessage) -> Picture:
-    read = reader_for(message.type.schema_name, message.type.encoding)
-    if read is None:
-        raise UndecodableError("its type is not readable", printable(str(message.type)))
-    record = read(message.data)
+    record = read_message(message)
     if isinstance(record, CameraInfo):
         raise UndecodableError("it is no image", printable(str(message.type)))
     return record

@@ -56,19 +56,23 @@ class StampClock:
         Raises:
             UndecodableError: it repeats the frame before it, or no clock says that it is later.
         """
-        wanted = _wanted(self._source, header_ns, message)
-        fault = self._fault(wanted, message.log_ns)
-        if fault is None:
-            stamp = wanted
-        elif self._last is None:
-            stamp = own_stamp(self._source, header_ns, message)
-        elif message.log_ns <= self._last[1]:
-            raise UndecodableError("it is not later than the frame before it")
-        else:
-            stamp = _in_range(self._last[0] + message.log_ns - self._last[1])
+        stamp, log_ns = _wanted(self._source, header_ns, message), message.log_ns
+        fault = self._fault(stamp, log_ns)
+        if fault is not None and self._last is None:
+            stamp = _in_range(log_ns)
+        elif fault is not None and self._last is not None:
+            if log_ns <= self._last[1]:
+                raise UndecodableError("it is not later than the frame before it")
+            stamp = _in_range(self._last[0] + log_ns - self._last[1])
+        self._last = stamp, log_ns
         if fault is not None:
-            self._note(fault, message.log_ns)
-        self._last = stamp, message.log_ns
+            self.faults[fault] += 1
+            if self.faults[fault] == 1 and self._source != "log":
+                log.warning(
+                    "%s: %s times %s at %.3f s of the log's clock, which counts there; "
+                    "--time-source log uses it throughout",
+                    *(self._name, self._source, fault, log_ns * 1e-9),
+                )
         return stamp
 
     def _fault(self, wanted: int, log_ns: int) -> str | None:
@@ -81,15 +85,6 @@ class StampClock:
         if wanted < stamp:
             return "run backwards"
         return "jump by more than a day" if wanted - stamp > _DAY_NS >= log_ns - logged else None
-
-    def _note(self, fault: str, log_ns: int) -> None:
-        self.faults[fault] += 1
-        if self.faults[fault] == 1 and self._source != "log":
-            log.warning(
-                "%s: %s times %s at %.3f s of the log's clock, which counts there; "
-                "--time-source log uses it throughout",
-                *(self._name, self._source, fault, log_ns * 1e-9),
-            )
 
 
 def _wanted(source: TimeSource, header_ns: int, message: LogMessage) -> int:

@@ -11,9 +11,8 @@ from airline.errors import InputError
 if TYPE_CHECKING:
     from logs.files.types import LogFile
 
-_SUFFIXES = (".mcap", ".bag", ".db3")
-_MAGICS = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG V": ".bag", b"SQLite format 3\0": ".db3"}
-_METADATA_BYTES = 4096
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""What every MCAP file begins with."""
 
 
 def open_log(path: str | os.PathLike[str]) -> LogFile:
@@ -23,39 +22,28 @@ def open_log(path: str | os.PathLike[str]) -> LogFile:
         InputError: it cannot be read, or is no log.
     """
     log = Path(path)
-    kind = _kind(log)
-    if kind == ".mcap":
+    try:
+        start = b""
+        if not log.is_dir():
+            with log.open("rb") as file:
+                start = file.read(16)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot open the log '{log}': {error}") from error
+    if start.startswith(MCAP_MAGIC):
         from logs.files.mcap_file import McapFile
 
         return McapFile(log)
-    if kind is None:
-        raise InputError(
-            f"'{log}' is no log: give an MCAP file, a ROS 1 .bag, or the folder or .db3 file of a ROS 2 bag"
-        )
-    from logs.files.bag_file import BagFile
+    if start.startswith((b"#ROSBAG V", b"SQLite format 3\0")) or _is_bag_folder(log):
+        from logs.files.bag_file import BagFile
 
-    return BagFile(log)
+        return BagFile(log)
+    raise InputError(f"'{log}' is no log: give an MCAP file, a ROS 1 .bag, or the folder or .db3 file of a ROS 2 bag")
 
 
 def is_log(path: str | os.PathLike[str]) -> bool:
     """Whether a path looks like a log: by its suffix, or as a folder that a ROS 2 recorder has written."""
     log = Path(path)
-    return log.suffix.lower() in _SUFFIXES or _is_bag_folder(log)
-
-
-def _kind(log: Path) -> str | None:
-    """The suffix that a log of its content has."""
-    try:
-        if log.is_dir():
-            return "folder" if _is_bag_folder(log) else None
-        with log.open("rb") as file:
-            start = file.read(16)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot open the log '{log}': {error}") from error
-    for magic, kind in _MAGICS.items():
-        if start.startswith(magic):
-            return kind
-    return None
+    return log.suffix.lower() in (".mcap", ".bag", ".db3") or _is_bag_folder(log)
 
 
 def _is_bag_folder(folder: Path) -> bool:
@@ -63,7 +51,7 @@ def _is_bag_folder(folder: Path) -> bool:
     try:
         if (folder / "metadata.yaml").is_file():
             with (folder / "metadata.yaml").open("rb") as file:
-                return b"rosbag2_bagfile_information" in file.read(_METADATA_BYTES)
+                return b"rosbag2_bagfile_information" in file.read(4096)
         return folder.is_dir() and any(
             child.suffix in (".db3", ".mcap") and child.stem.rpartition("_")[2].isdigit() for child in folder.iterdir()
         )

@@ -3,39 +3,18 @@
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
-import apsw
 from natsort import natsorted
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 
 from airline.errors import InputError
 from logs.files.types import LogMessage, Topic, TopicType
-
-_WINDOW_NS = 10**9  # messages are read backwards in windows of this length
-_DAMAGE = (
-    rosbag1.ReaderError,
-    rosbag2.ReaderError,
-    apsw.Error,
-    zlib.error,
-    struct.error,
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    RuntimeError,
-    EOFError,
-    MemoryError,
-    OverflowError,
-    AssertionError,
-)
 
 Reader = rosbag1.Reader | rosbag2.Reader
 
@@ -62,16 +41,17 @@ class BagFile:
                 for reader in _readers(self._path):
                     opened.enter_context(reader)
                     self._readers.append(reader)
-            except _DAMAGE as error:
+            except Exception as error:  # damage makes rosbags raise errors of many kinds
                 raise InputError(
                     f"cannot read the bag '{self._path}' ({error}): if its recording was interrupted, reindex it"
                 ) from error
             self._opened = opened.pop_all()
-        connections = [connection for reader in self._readers for connection in reader.connections]
-        self._topics: dict[str, Topic] = {}
-        for connection in connections:
-            counted = self._topics[connection.topic].count or 0 if connection.topic in self._topics else 0
-            self._topics[connection.topic] = Topic(self._type(connection), counted + connection.msgcount)
+        counts: Counter[str] = Counter()
+        types: dict[str, TopicType] = {}
+        for connection in chain.from_iterable(reader.connections for reader in self._readers):
+            counts[connection.topic] += connection.msgcount
+            types[connection.topic] = self._type(connection)
+        self._topics = {name: Topic(types[name], count) for name, count in counts.items() if count}
 
     @property
     def name(self) -> str:
@@ -79,7 +59,7 @@ class BagFile:
 
     @property
     def topics(self) -> Mapping[str, Topic]:
-        return {name: topic for name, topic in self._topics.items() if topic.count}
+        return self._topics
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -87,43 +67,25 @@ class BagFile:
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     @property
-    def indexed(self) -> bool:
-        return True
-
-    @property
     def lost(self) -> Mapping[str, int]:
         return dict(self._lost)
 
-    def messages(self, topic: str, start_ns: int | None = None, *, reverse: bool = False) -> Iterator[LogMessage]:
-        if not reverse:
-            return chain.from_iterable(self._read(reader, topic, start_ns, None) for reader in self._readers)
-        return chain.from_iterable(self._backwards(reader, topic, start_ns) for reader in reversed(self._readers))
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
+        return chain.from_iterable(self._read(reader, topic, start_ns) for reader in self._readers)
 
     def close(self) -> None:
         self._opened.close()
 
-    def _read(self, reader: Reader, topic: str, start_ns: int | None, stop_ns: int | None) -> Iterator[LogMessage]:
-        """Messages from start_ns up to before stop_ns, or to where the bag is damaged."""
+    def _read(self, reader: Reader, topic: str, start_ns: int | None) -> Iterator[LogMessage]:
+        """Messages from start_ns on, or to where the bag is damaged."""
         wanted = [connection for connection in reader.connections if connection.topic == topic]
         if not wanted:  # no connections would mean all of them
             return
         try:
-            for connection, log_ns, data in reader.messages(wanted, start=start_ns, stop=stop_ns):
+            for connection, log_ns, data in reader.messages(wanted, start=start_ns):
                 yield LogMessage(topic, self._type(connection), log_ns, log_ns, data)
-        except _DAMAGE as error:
+        except Exception as error:
             self._lost[f"everything behind a damaged place of the bag ({error})"[:200]] += 1
-
-    def _backwards(self, reader: Reader, topic: str, stop_ns: int | None) -> Iterator[LogMessage]:
-        if not reader.message_count:
-            return
-        first, stop = reader.start_time, reader.end_time
-        stop = stop if stop_ns is None else min(stop, stop_ns)
-        window = _WINDOW_NS
-        while stop > first:
-            found = list(self._read(reader, topic, stop - window, stop))
-            yield from reversed(found)
-            stop -= window
-            window = _WINDOW_NS if found else 2 * window
 
     def _type(self, connection: Connection) -> TopicType:
         ros1 = isinstance(connection.owner, rosbag1.Reader)
@@ -140,5 +102,5 @@ def _readers(path: Path) -> Iterator[Reader]:
     else:
         files = natsorted(child for child in path.iterdir() if child.suffix in (".db3", ".mcap"))
         if not files:
-            raise InputError(f"the folder '{path}' holds no ROS bag: there is no metadata.yaml, .db3 or .mcap in it")
+            raise FileNotFoundError("there is no metadata.yaml, .db3 or .mcap in it")
         yield from map(rosbag2.Reader, files)

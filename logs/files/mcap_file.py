@@ -5,31 +5,37 @@ from __future__ import annotations
 import logging
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from heapq import heappop, heappush
 from pathlib import Path
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, McapRecord, Message, Schema, Statistics
+from mcap.summary import Summary
 
 from airline.errors import InputError
-from logs.files.mcap_chunks import CHUNK_LIMIT, HEAD, MESSAGE, Cut, DamageError, cut, cut_by_index, parse_chunk, unpack
-from logs.files.mcap_index import INDEX_HEAD, Entry, Index, index_by_scan, read_summary
-from logs.files.mcap_merge import Key, merge
-from logs.files.mcap_records import RecordFile
-from logs.files.types import LogMessage, Topic
+from logs.files import MCAP_MAGIC
+from logs.files.mcap_records import DamageError, RecordFile, define
+from logs.files.types import LogMessage, Topic, TopicType
 
 log = logging.getLogger(__name__)
 
+HELD_LIMIT = 512 << 20
+"""Messages of overlapping chunks of more bytes are not held at once."""
 
-class _FalseIndexError(Exception):
-    """The file's own index does not tell where the chunks are."""
+_LOOSE = "no chunk"  # in place of a compression: a run of records outside chunks
+_LOOSE_OPCODES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_LOOSE_SIZE = 1 << 20
+_DAMAGED = "the log is cut or damaged; its readable part is used"
 
 
 class McapFile:
-    """An MCAP log.
+    """An MCAP log; see `LogFile`.
 
     Opening reads the summary at the end of the file. Where there is none, or it contradicts itself, the file is read
-    through once, and the index that is found on the way serves from then on. Damaged parts are left out: `lost`
-    counts them, and one warning is logged.
+    through once, up to damage that hides where the next record begins. A damaged chunk costs its messages: `lost`
+    counts such chunks, and one warning is logged.
 
     Raises:
         InputError: the file cannot be opened, or is no MCAP file.
@@ -39,197 +45,196 @@ class McapFile:
         self._path = Path(path)
         self._file = RecordFile(self._path)
         self._lost: Counter[str] = Counter()
-        self._damaged: set[int] = set()  # places whose loss is counted,
-        self._topics_damaged: set[tuple[str, int]] = set()  # and with that the loss of a topic's messages
-        self._messages_lost: Counter[str] = Counter()  # by topic
-        self._missing: Counter[int] = Counter()  # messages in damaged chunks by channel, not counted yet
-        self._warned = self._warned_of_order = False
-        index = read_summary(self._file)
-        self._index = index if index is not None else self._scan()
-        self._topics = self._index.topics()
+        self._damaged: set[int] = set()  # places whose loss is counted
+        self._warned: set[str] = set()
+        summary = self._file.summary()
+        self._summary = summary if summary is not None and _is_sound(summary) else self._scan()
+        self._topics = _topics(self._summary)
 
     @property
     def name(self) -> str:
-        """File name without its suffix."""
         return self._path.stem
 
     @property
     def topics(self) -> Mapping[str, Topic]:
-        """Topics with messages."""
         return self._topics
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of all messages, ns; None if there are none."""
-        entries = [entry for entry in self._index.entries if entry.listing or entry.end_ns]
-        if not entries:
-            return None
-        return min(entry.start_ns for entry in entries), max(entry.end_ns for entry in entries)
-
-    @property
-    def indexed(self) -> bool:
-        """Always: what the file lacks is made up for when it is opened."""
-        return True
+        times = [
+            (chunk.message_start_time, chunk.message_end_time)
+            for chunk in self._summary.chunk_indexes
+            if chunk.message_index_offsets or chunk.message_end_time
+        ]
+        return (min(start for start, _ in times), max(end for _, end in times)) if times else None
 
     @property
     def lost(self) -> Mapping[str, int]:
-        """What could not be read so far: how many times, by reason."""
         return dict(self._lost)
 
-    def messages(self, topic: str, start_ns: int | None = None, *, reverse: bool = False) -> Iterator[LogMessage]:
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
         """Messages of one topic by log time, those of equal times in the order of the file.
 
         Args:
             topic: one of `topics`.
-            start_ns: leave out messages logged earlier, without reading them.
-            reverse: backwards from the last, or from the last strictly before `start_ns`.
+            start_ns: leave out messages logged earlier; chunks that hold nothing else are not read.
 
         Raises:
             InputError: no such topic.
         """
         if topic not in self._topics:
             raise InputError(f"the log '{self._path}' has no messages on topic '{topic}'")
-        return self._messages(topic, start_ns, reverse)
+        return self._by_time(topic, start_ns or 0)
+
+    def raw_messages(self) -> Iterator[tuple[Schema | None, Channel, Message]]:
+        """All readable messages in the order of the file, as the `mcap` package has them."""
+        known = _counts(self._summary)
+        for chunk in sorted(self._summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset):
+            for record in self._load(chunk):
+                if isinstance(record, Message) and record.channel_id in known:
+                    channel = self._summary.channels[record.channel_id]
+                    yield self._summary.schemas.get(channel.schema_id), channel, record
 
     def close(self) -> None:
-        """Release the file; safe to call twice."""
         self._file.close()
 
-    def _messages(self, topic: str, start_ns: int | None, reverse: bool) -> Iterator[LogMessage]:
-        last: Key | None = None
-        promised, seen = self._topics[topic].count, 0
-        while True:
-            try:
-                for key, message in self._after(last, topic, start_ns, reverse):
-                    last = key
-                    seen += 1
-                    yield message
-                break
-            except _FalseIndexError:
-                self._index = self._scan([entry.offset for entry in self._index.entries])
-                self._topics = {**self._topics, **self._index.topics()}
-        if start_ns is None and not reverse:
-            self._check_count(topic, promised, seen)
+    def _by_time(self, topic: str, start_ns: int) -> Iterator[LogMessage]:
+        """Holds the messages of chunks that overlap in time."""
+        channels = {number for number in _counts(self._summary) if self._summary.channels[number].topic == topic}
+        types = {number: _type(self._summary, number) for number in channels}
+        waiting = [
+            chunk
+            for chunk in self._summary.chunk_indexes
+            if chunk.message_end_time >= start_ns
+            and not (chunk.message_index_offsets and channels.isdisjoint(chunk.message_index_offsets))
+        ]
+        waiting.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset), reverse=True)
+        heap: list[tuple[int, int, int, Message]] = []
+        held = 0
+        while waiting or heap:
+            while waiting and (not heap or waiting[-1].message_start_time <= heap[0][0]):
+                if held > HELD_LIMIT:
+                    self._warn("too much of the log overlaps in time; some messages come late")
+                    break
+                chunk = waiting.pop()
+                for place, record in enumerate(self._load(chunk)):
+                    if isinstance(record, Message) and record.channel_id in channels and record.log_time >= start_ns:
+                        heappush(heap, (record.log_time, chunk.chunk_start_offset, place, record))
+                        held += len(record.data)
+            if heap:
+                *_, message = heappop(heap)
+                held -= len(message.data)
+                kind = types[message.channel_id]
+                yield LogMessage(topic, kind, message.log_time, message.publish_time, message.data)
 
-    def _after(
-        self, last: Key | None, topic: str, start_ns: int | None, reverse: bool
-    ) -> Iterator[tuple[Key, LogMessage]]:
-        """Messages behind the one with this key; raises _FalseIndexError."""
-        channels = self._index.channels(topic)
-        types = {channel: self._index.type(channel) for channel in channels}
-        for channel in channels & self._missing.keys():
-            self._lose_messages(topic, self._missing.pop(channel))
-
-        def load(entry: Entry) -> Cut | None:
-            return self._load(entry, topic, channels)
-
-        entries = self._entries(channels, start_ns, reverse)
-        for key, chunk, position in merge(entries, load, start_ns, reverse, self._warn_of_order):
-            if last is not None and key <= last:
-                continue
-            _, length, channel, _, log_ns, publish_ns = MESSAGE.unpack_from(chunk.data, position)
-            data = chunk.data[position + MESSAGE.size : position + HEAD.size + length]
-            yield key, LogMessage(topic, types[channel], log_ns, publish_ns, data)
-
-    def _entries(self, channels: frozenset[int], start_ns: int | None, reverse: bool) -> Iterator[Entry]:
-        """Those that may have such messages."""
-        for entry in self._index.entries:
-            if start_ns is not None and (entry.start_ns >= start_ns if reverse else entry.end_ns < start_ns):
-                continue
-            places = entry.places()
-            if places is None or not channels.isdisjoint(places):
-                yield entry
-
-    def _load(self, entry: Entry, topic: str, channels: frozenset[int]) -> Cut | None:
-        """The topic's messages of one chunk; None if it cannot be read. Raises _FalseIndexError."""
+    def _load(self, chunk: ChunkIndex) -> list[McapRecord]:
+        """The records of a chunk or run; none, and its loss is counted, if it cannot be read."""
+        read = self._file.run if chunk.compression == _LOOSE else self._file.chunk
+        begin = chunk.chunk_start_offset
         try:
-            data = self._contents(entry)
+            return read(begin, begin + chunk.chunk_length)
         except DamageError as error:
-            if error.misplaced and self._index.from_summary:
-                raise _FalseIndexError from error
-            unread = self._listed(entry, channels) or {}
-            self._lose(entry.offset, error.reason, topic, sum(len(entries) // 16 for entries in unread.values()))
-            return None
-        listed = self._listed(entry, channels)
-        messages = cut_by_index(data, listed) if listed is not None else None
-        if messages is None:
-            messages = cut(data, channels)
-            if not messages.whole:
-                self._lose(entry.offset, "damaged chunk")
-        return messages
+            self._lose(begin, str(error))
+            return []
 
-    def _contents(self, entry: Entry) -> memoryview:
-        """The records of a chunk, or of a run outside chunks; raises DamageError."""
-        if not entry.chunked:
-            return self._file.read(entry.offset, entry.end - entry.offset)
-        record = self._file.record(entry.offset)
-        if record is None or record.end != entry.end or record.opcode != Opcode.CHUNK:
-            raise DamageError("damaged record", misplaced=True)
-        chunk = parse_chunk(self._file.body(record, 2 * CHUNK_LIMIT))
-        as_listed = (chunk.start_ns, chunk.end_ns, chunk.size) == (entry.start_ns, entry.end_ns, entry.size)
-        if self._index.from_summary and not as_listed:
-            raise DamageError("damaged record", misplaced=True)
-        return unpack(chunk)
+    def _scan(self) -> Summary:
+        """A summary from reading the file from front to back; holds one chunk at a time."""
+        summary = Summary()
+        counts: Counter[int] = Counter()
+        place, opcode = len(MCAP_MAGIC), 0
+        try:
+            while opcode not in (Opcode.DATA_END, Opcode.FOOTER) and place < self._file.size:
+                opcode, end = self._file.head(place)
+                loose = opcode in _LOOSE_OPCODES
+                if loose:
+                    end = self._end_of_run(end)
+                if loose or opcode == Opcode.CHUNK:
+                    chunk = ChunkIndex(end - place, place, _LOOSE if loose else "", 0, 0, 0, {}, 0, 0)
+                    counts += self._survey(chunk, summary)
+                place = end
+        except DamageError:
+            self._lose(place, "everything behind a cut or damaged record")
+        if opcode not in (Opcode.DATA_END, Opcode.FOOTER):
+            self._warn(_DAMAGED)
+        summary.statistics = Statistics(0, 0, counts, len(summary.chunk_indexes), counts.total(), 0, 0, 0, 0)
+        return summary
 
-    def _listed(self, entry: Entry, channels: frozenset[int]) -> dict[int, memoryview] | None:
-        """Entries of the MessageIndex records of some channels; None if one of them is missing or damaged."""
-        places = entry.places()
-        if places is None:
-            return None
-        listed = {}
-        for channel in channels & places.keys():
-            record = self._file.record(places[channel]) if places[channel] else None
-            if record is None or record.opcode != Opcode.MESSAGE_INDEX:
-                return None
-            try:
-                body = self._file.body(record, INDEX_HEAD.size + entry.size)  # an entry is shorter than its message
-            except DamageError:
-                return None
-            if INDEX_HEAD.unpack_from(body) != (channel, len(body) - INDEX_HEAD.size) or len(body) % 16 != 6:
-                return None
-            listed[channel] = body[INDEX_HEAD.size :]
-        return listed
+    def _end_of_run(self, end: int) -> int:
+        """Where a run of records outside chunks ends, of which the first ends at `end`."""
+        limit = end + _LOOSE_SIZE
+        with suppress(DamageError):  # the scan meets it next
+            opcode, following = self._file.head(end)
+            while opcode in _LOOSE_OPCODES and following < limit:
+                end = following
+                opcode, following = self._file.head(end)
+        return end
 
-    def _scan(self, known_chunks: Sequence[int] = ()) -> Index:
-        """Read everything through; what was lost before is found again."""
-        index = index_by_scan(self._file, known_chunks)
-        self._lost = Counter(index.lost)
-        self._damaged = set(index.damaged)
-        self._topics_damaged = set()
-        self._messages_lost = Counter()
-        self._missing = Counter(index.missing)
-        if index.lost or not index.finished:
-            self._warn()
-        return index
+    def _survey(self, chunk: ChunkIndex, summary: Summary) -> Counter[int]:
+        """Take up a chunk's definitions and, if it has messages, its index; returns messages per channel."""
+        times, counts = [], Counter[int]()
+        for record in self._load(chunk):
+            if isinstance(record, (Schema, Channel)):
+                define(summary, record)
+            elif isinstance(record, Message) and _is_defined(summary, record.channel_id):
+                counts[record.channel_id] += 1
+                times.append(record.log_time)
+            elif isinstance(record, Message):
+                self._lost["messages of unknown channels"] += 1
+        if times:
+            chunk.message_start_time, chunk.message_end_time = min(times), max(times)
+            chunk.message_index_offsets = dict.fromkeys(counts, 0)
+            summary.chunk_indexes.append(chunk)
+        return counts
 
-    def _lose(self, offset: int, reason: str, topic: str = "", messages: int = 0) -> None:
-        """Count a damaged chunk, once, and the messages of a topic that are lost with it, once for each topic."""
-        self._warn()
-        if offset not in self._damaged:
-            self._damaged.add(offset)
+    def _lose(self, place: int, reason: str) -> None:
+        self._warn(_DAMAGED)
+        if place not in self._damaged:
+            self._damaged.add(place)
             self._lost[reason] += 1
-        if messages and (topic, offset) not in self._topics_damaged:
-            self._topics_damaged.add((topic, offset))
-            self._lose_messages(topic, messages)
 
-    def _lose_messages(self, topic: str, count: int) -> None:
-        self._messages_lost[topic] += count
-        self._lost["messages in damaged chunks"] += count
+    def _warn(self, what: str) -> None:
+        if what not in self._warned:
+            log.warning("%s: %s", self.name, what)
+        self._warned.add(what)
 
-    def _check_count(self, topic: str, promised: int | None, seen: int) -> None:
-        """After all messages of a topic: whether these were as many as the file says."""
-        absent = (promised or 0) - seen - self._messages_lost[topic]
-        if absent > 0:
-            self._warn()
-            self._messages_lost[topic] += absent
-            self._lost["missing messages"] += absent
 
-    def _warn(self) -> None:
-        if not self._warned:
-            log.warning("%s: the log is cut or damaged; its readable part is used", self.name)
-        self._warned = True
+def _is_sound(summary: Summary) -> bool:
+    """Whether the parts of a summary agree, so that they tell all channels that have messages, and where."""
+    chunks, statistics, counted = summary.chunk_indexes, summary.statistics, _counts(summary).keys()
+    listed = {channel for chunk in chunks for channel in chunk.message_index_offsets}
+    complete = all(chunk.message_index_offsets for chunk in chunks)
+    if statistics is None:
+        told = complete and bool(chunks)
+    else:
+        told = statistics.chunk_count == len(chunks) and (listed == counted if complete else listed <= counted)
+    distinct = len({chunk.chunk_start_offset for chunk in chunks}) == len(chunks)
+    return told and distinct and all(_is_defined(summary, channel) for channel in counted)
 
-    def _warn_of_order(self) -> None:
-        if not self._warned_of_order:
-            log.warning("%s: too much of the log overlaps in time; some messages come late", self.name)
-        self._warned_of_order = True
+
+def _is_defined(summary: Summary, channel_id: int) -> bool:
+    """Whether a channel is known, and with it the schema that it names."""
+    channel = summary.channels.get(channel_id)
+    return channel is not None and (not channel.schema_id or channel.schema_id in summary.schemas)
+
+
+def _counts(summary: Summary) -> Mapping[int, int | None]:
+    """Messages of each channel that has any; None where there are no statistics."""
+    if summary.statistics is not None:
+        return {channel: count for channel, count in summary.statistics.channel_message_counts.items() if count}
+    return dict.fromkeys(channel for chunk in summary.chunk_indexes for channel in chunk.message_index_offsets)
+
+
+def _topics(summary: Summary) -> dict[str, Topic]:
+    """Topics with messages, each with the type that most of them have."""
+    topics: dict[str, Topic] = {}
+    for channel, count in sorted(_counts(summary).items(), key=lambda item: -(item[1] or 0)):
+        name = summary.channels[channel].topic
+        known = topics.get(name, Topic(_type(summary, channel), 0))
+        topics[name] = Topic(known.type, None if count is None else count + (known.count or 0))
+    return topics
+
+
+def _type(summary: Summary, channel_id: int) -> TopicType:
+    channel = summary.channels[channel_id]
+    schema = summary.schemas.get(channel.schema_id)
+    return TopicType(schema.name if schema else "", channel.message_encoding)

@@ -1,171 +1,184 @@
-"""Records of an MCAP file, found and read within bounds. Format: https://mcap.dev/spec"""
+"""Records of an MCAP file, read and decompressed within bounds.
+
+The `mcap` package believes what a record, a chunk or a zstd frame says about its size, lets lz4 make as much as it
+likes, and follows a wrong footer into the data.
+"""
 
 from __future__ import annotations
 
-import io
 import os
 import struct
-from dataclasses import dataclass, field
+import zlib
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Protocol, TypeVar
+from typing import BinaryIO
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 
 from airline.errors import InputError
-from logs.files.mcap_chunks import HEAD, DamageError
+from logs.files import MCAP_MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
-SMALL_LIMIT = 64 << 20
-"""Schemas, channels, metadata and the like of more bytes are not read."""
+CHUNK_LIMIT = 1 << 30
+"""Chunks of more bytes, compressed or not, are not read."""
 
-_DEFINITIONS_LIMIT = 256 << 20
-_LEAST_LENGTH = {
-    Opcode.HEADER: 8,
-    Opcode.FOOTER: 20,
-    Opcode.SCHEMA: 14,
-    Opcode.CHANNEL: 16,
-    Opcode.MESSAGE: 22,
-    Opcode.CHUNK: 40,
-    Opcode.MESSAGE_INDEX: 6,
-    Opcode.ATTACHMENT: 36,
-    Opcode.METADATA: 8,
-    Opcode.DATA_END: 4,
-}
+UNREADABLE = (McapError, struct.error, ValueError, OverflowError, MemoryError)
+"""What the `mcap` package raises for damaged records."""
+
+_SUMMARY_LIMIT = 64 << 20
+_HEAD = struct.Struct("<BQ")  # opcode of a record, and the number of bytes that follow
+_FOOTER = struct.Struct("<BQQQI8s")  # head, start of the summary, of its offsets, CRC; the magic
+_BEFORE_CRC = struct.calcsize("<BQQQ")
+_LEAST_MESSAGE = 22  # bytes
+# Bytes that one stored byte can become: an lz4 length byte stands for 255, and 4 bytes of zstd for a block of 128 KiB.
+_MAX_RATIO = {"": 1, "lz4": 255, "zstd": 1 << 15}
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
-    """Where a record lies: from `offset` its head, from `body` to `end` the rest."""
+class DamageError(Exception):
+    """A part of a file cannot be read; the message is the same for the same fault, so that faults can be counted."""
 
-    opcode: int
-    offset: int
-    end: int
 
-    @property
-    def body(self) -> int:
-        return self.offset + HEAD.size
+class _Within(ReadDataStream):
+    """A record's part of the file, which is asked for no more than there is."""
 
-    @property
-    def length(self) -> int:
-        return self.end - self.body
+    def __init__(self, file: BinaryIO, length: int) -> None:
+        super().__init__(file)
+        self._length = length
+
+    def read(self, length: int) -> bytes:
+        if length > self._length - self.count:
+            raise EndOfFile
+        return super().read(length)
 
 
 class RecordFile:
     """An MCAP file by place; `size` is its length in bytes when it was opened.
 
     Raises:
-        InputError: the file cannot be opened or is no MCAP file.
+        InputError: the file cannot be opened, or is no MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file = open_binary(path)
+            self._file = path.open("rb")
+            self.size = os.fstat(self._file.fileno()).st_size
+            magic = self._file.read(len(MCAP_MAGIC))
         except (OSError, ValueError) as error:
             raise InputError(f"cannot open the log '{path}': {error}") from error
-        self.size = os.fstat(self._file.fileno()).st_size
-        try:
-            magic = bytes(self.read(0, len(MAGIC)))
-        except DamageError:
-            magic = b""
-        if magic != MAGIC:
+        if magic != MCAP_MAGIC:
             self.close()
             raise InputError(f"'{path}' is not an MCAP file")
 
-    def read(self, offset: int, length: int) -> memoryview:
-        """Bytes of the file; raises DamageError where there are not so many or the disk fails."""
-        if not 0 <= offset <= self.size - length:
-            raise DamageError("cut off record", misplaced=True)
-        try:
-            self._file.seek(offset)
-            data = self._file.read(length)
-        except (OSError, MemoryError) as error:
-            raise DamageError("unreadable part of the disk") from error
-        if len(data) != length:
-            raise DamageError("cut off record", misplaced=True)
-        return memoryview(data)
+    def head(self, place: int) -> tuple[int, int]:
+        """Opcode and end of the record at a place; raises DamageError if there can be none."""
+        opcode, length = _HEAD.unpack(self._read(place, _HEAD.size))
+        end = place + _HEAD.size + length
+        if not opcode or end > self.size or (opcode == Opcode.MESSAGE and length < _LEAST_MESSAGE):
+            raise DamageError("damaged record")
+        return opcode, end
 
-    def record(self, offset: int) -> Record | None:
-        """The record at a place, if there can be one; it may end beyond the end of the file."""
-        try:
-            opcode, length = HEAD.unpack(self.read(offset, HEAD.size))
-        except DamageError:
-            return None
-        if not opcode or length < _LEAST_LENGTH.get(opcode, 0):
-            return None
-        return Record(opcode, offset, offset + HEAD.size + length)
-
-    def body(self, record: Record, limit: int = SMALL_LIMIT) -> memoryview:
-        """What follows a record's head; raises DamageError."""
-        if record.length > limit:
+    def chunk(self, begin: int, end: int) -> list[McapRecord]:
+        """Schemas, channels and messages of a chunk; raises DamageError."""
+        if self.head(begin) != (Opcode.CHUNK, end):
+            raise DamageError("damaged record")
+        if end - begin > CHUNK_LIMIT:
             raise DamageError("record of impossible size")
-        return self.read(record.body, record.length)
+        try:
+            self._file.seek(begin + _HEAD.size)
+            chunk = Chunk.read(_Within(self._file, end - begin - _HEAD.size))
+            data = _decompressed(chunk)
+            if len(data) != chunk.uncompressed_size or not _is_filled(data):
+                raise DamageError("damaged chunk")
+            return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+        except (*UNREADABLE, OSError, zstandard.ZstdError, RuntimeError) as error:  # RuntimeError is lz4's
+            raise DamageError("damaged chunk") from error
+
+    def run(self, begin: int, end: int) -> list[McapRecord]:
+        """Schemas, channels and messages outside chunks; raises DamageError."""
+        data = self._read(begin, end - begin)
+        try:
+            return breakup_chunk(Chunk("", data, 0, 0, 0, len(data)))
+        except UNREADABLE as error:
+            raise DamageError("damaged record") from error
+
+    def summary(self) -> Summary | None:
+        """The summary at the file's end, None where it is missing or damaged."""
+        place = self.size - _FOOTER.size
+        try:
+            footer = self._read(place, _FOOTER.size)
+            _, _, start, _, crc, _ = _FOOTER.unpack(footer)
+            if start < len(MCAP_MAGIC) or place - start > _SUMMARY_LIMIT:
+                return None
+            section = self._read(start, place - start)
+            if crc and zlib.crc32(footer[:_BEFORE_CRC], zlib.crc32(section)) != crc:
+                return None
+            summary = Summary()
+            for record in StreamReader(BytesIO(section + footer), skip_magic=True, emit_chunks=True).records:
+                if isinstance(record, (Schema, Channel)):
+                    define(summary, record)
+                elif isinstance(record, Statistics):
+                    summary.statistics = record
+                elif isinstance(record, ChunkIndex):
+                    summary.chunk_indexes.append(record)
+        except (DamageError, *UNREADABLE):
+            return None
+        return summary
 
     def close(self) -> None:
         """Release the file; safe to call twice."""
         self._file.close()
 
-
-def open_binary(path: Path) -> BinaryIO:
-    """The file, for reading."""
-    return path.open("rb")
-
-
-class _Readable(Protocol):
-    @staticmethod
-    def read(stream: ReadDataStream) -> object: ...
-
-
-_T = TypeVar("_T")
-
-
-class _StrictStream(ReadDataStream):
-    """Where mcap's own stream returns less than was asked for, this one raises."""
-
-    def read(self, length: int) -> bytes:
-        data = super().read(length)
+    def _read(self, place: int, length: int) -> bytes:
+        """Bytes of the file; raises DamageError where there are not so many, too many, or the disk fails."""
+        if length > CHUNK_LIMIT:
+            raise DamageError("record of impossible size")
+        try:
+            self._file.seek(place)
+            data = self._file.read(length) if 0 <= length <= self.size - place else b""
+        except (OSError, ValueError, OverflowError) as error:
+            raise DamageError("unreadable part of the disk") from error
         if len(data) != length:
-            raise EndOfFile
+            raise DamageError("damaged record")
         return data
 
 
-def parse(kind: type[_T], body: memoryview) -> _T:
-    """A small record of one of mcap's classes; raises DamageError."""
-    if len(body) > SMALL_LIMIT:
-        raise DamageError("record of impossible size")
-    try:
-        record: _T = kind.read(_StrictStream(io.BytesIO(body)))  # type: ignore[attr-defined]
-    except (McapError, struct.error, ValueError) as error:
-        raise DamageError("damaged record") from error
-    return record
+def _is_filled(data: bytes) -> bool:
+    """Whether records fill a chunk to its end; `mcap` cuts the last one off there, and takes zeros for records."""
+    place, opcode = 0, 1
+    while opcode and place < len(data):
+        opcode, length = _HEAD.unpack_from(data, place)
+        place += _HEAD.size + length
+    return place == len(data) and bool(opcode)
 
 
-@dataclass
-class Definitions:
-    """Schemas and channels by id; the first of an id counts, as there must not be another."""
+def define(summary: Summary, record: Schema | Channel) -> None:
+    """Take up a definition; the first of an id counts, as there must not be another."""
+    if isinstance(record, Schema):
+        summary.schemas.setdefault(record.id, record)
+    else:
+        summary.channels.setdefault(record.id, record)
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    _bytes: int = 0
 
-    def add(self, opcode: int, body: memoryview) -> Schema | Channel | None:
-        """Take up a schema or channel; None if it is damaged, contradicts an earlier one, or is one too many."""
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = parse(Schema, body)
-                self._bytes += len(body) if schema.id not in self.schemas else 0
-                fits = schema.id and self._bytes <= _DEFINITIONS_LIMIT
-                return schema if fits and self.schemas.setdefault(schema.id, schema) == schema else None
-            channel = parse(Channel, body)
-        except DamageError:
-            return None
-        self._bytes += len(body) if channel.id not in self.channels else 0
-        fits = self._bytes <= _DEFINITIONS_LIMIT
-        return channel if fits and self.channels.setdefault(channel.id, channel) == channel else None
-
-    def defines(self, channel_id: int) -> bool:
-        """Whether a channel is known, and with it the schema that it names."""
-        channel = self.channels.get(channel_id)
-        return channel is not None and (not channel.schema_id or channel.schema_id in self.schemas)
+def _decompressed(chunk: Chunk) -> bytes:
+    """The records of a chunk, other bytes or none if they are not as many as it says; raises DamageError."""
+    if chunk.compression not in _MAX_RATIO:
+        raise DamageError("chunk of unknown compression")
+    size = chunk.uncompressed_size
+    if size > min(CHUNK_LIMIT, len(chunk.data) * _MAX_RATIO[chunk.compression]):
+        raise DamageError("chunk of impossible size")
+    if chunk.compression == "lz4":
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        data: bytes = decompressor.decompress(chunk.data, max_length=size)
+        return data if decompressor.eof else b""
+    if chunk.compression == "zstd":
+        # where the frame says a size, zstandard allocates that and not `max_output_size`
+        says = zstandard.frame_content_size(chunk.data)
+        return zstandard.decompress(chunk.data, max_output_size=size) if says in (-1, size) else b""
+    return chunk.data

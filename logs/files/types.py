@@ -22,12 +22,7 @@ class TopicType:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that has messages.
-
-    Attributes:
-        type: of its messages.
-        count: messages; None where only reading the whole log would tell.
-    """
+    """A topic that has messages; `count` is None where the log does not say how many."""
 
     type: TopicType
     count: int | None
@@ -35,13 +30,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """One message.
-
-    Attributes:
-        topic, type: where it was sent, and what it is.
-        log_ns, publish_ns: when it was recorded and sent, ns, as the log has it.
-        data: the message, often a view into a buffer: it lives as long as somebody holds it.
-    """
+    """One message: `log_ns` and `publish_ns` are when it was recorded and sent, ns."""
 
     topic: str
     type: TopicType
@@ -65,23 +54,11 @@ class LogFile(Protocol):
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of all messages, ns; None where only reading the whole log would tell."""
+        """First and last log time of all messages, ns; None if there are none."""
         ...
 
-    def messages(self, topic: str, start_ns: int | None = None, *, reverse: bool = False) -> Iterator[LogMessage]:
-        """Messages of one topic in log-time order where the log has an index, else in the order of the file.
-
-        Args:
-            topic: one of `topics`.
-            start_ns: leave out messages logged earlier, without reading them where the log has an index.
-            reverse: from the last (before `start_ns`, where given: strictly earlier ones) to the first; only where
-                `indexed`.
-        """
-        ...
-
-    @property
-    def indexed(self) -> bool:
-        """Whether `messages` can begin anywhere without reading what comes before."""
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
+        """Messages of one of `topics` by log time; those logged before `start_ns` are left out and not read."""
         ...
 
     @property

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from frontend.sources.opencv import Image
 from logs.images.encoded import decode_encoded
 from logs.images.pixels import decode_pixels
-from logs.images.sixteen_bits import SteadyScale
 from logs.messages.types import EncodedImage, RawImage, VideoPacket
 
 if TYPE_CHECKING:
@@ -62,3 +62,41 @@ class ImageDecoder:
     def flush(self) -> list[tuple[int, NDArray[np.uint8]]]:
         """The images a video still holds back."""
         return self._video.flush() if self._video else []
+
+
+class SteadyScale:
+    """Maps the images of one stream from uint16 to uint8.
+
+    The first image is stretched between its 0.5 and 99.5 percentiles, as `airline.image.to_uint8` does, and the
+    following ones by the same two values, until the scene leaves them: more than 5 % of an image lie outside by more
+    than a tenth of the range, or its own percentiles span less than half of it. Then both values move by a fifth of the
+    way to the image's percentiles, image by image, until they are within 2 %. An image of one value tells no range.
+    """
+
+    def __init__(self) -> None:
+        self._range: NDArray[np.float64] | None = None
+        self._moves = False
+
+    def __call__(self, image: NDArray[np.uint16]) -> NDArray[np.uint8]:
+        """The image, (H, W) or (H, W, 3), in 8 bits."""
+        self._follow(image[::4, ::4])
+        assert self._range is not None
+        low, high = self._range
+        above: NDArray[np.uint16] = cv2.subtract(image, float(round(low)))  # stops at zero
+        scaled: NDArray[np.uint8] = cv2.convertScaleAbs(above, alpha=255 / max(high - low, 1.0))
+        return scaled
+
+    def _follow(self, sample: NDArray[np.uint16]) -> None:
+        own = np.percentile(sample, (0.5, 99.5))
+        if self._range is None or self._range[0] == self._range[1]:
+            self._range = own
+        if own[0] == own[1]:
+            return
+        low, high = self._range
+        span = high - low
+        outside = np.count_nonzero((sample < low - 0.1 * span) | (sample > high + 0.1 * span))
+        if outside > 0.05 * sample.size or own[1] - own[0] < 0.5 * span:
+            self._moves = True
+        if self._moves:
+            self._range = self._range + 0.2 * (own - self._range)
+            self._moves = bool(np.abs(own - self._range).max() > 0.02 * span)

@@ -1,7 +1,7 @@
-"""Images in a file format: JPEG, PNG and WebP, told by their bytes.
+"""JPEG, PNG and WebP images, told by their bytes.
 
-A file's own header is read before OpenCV may allocate for it. An image of more than 64 megapixels is refused, and one
-for which its file is too short; see `_jpeg`, `_png` and `_webp` for what each format can compress at most.
+A file's header is read before OpenCV may allocate for it. An image of more than 64 megapixels is refused, and one for
+which its file is too short by what its format can compress at most.
 """
 
 from __future__ import annotations
@@ -97,10 +97,13 @@ def _fills_its_image(data: Bytes) -> bool:
     """Whether FFmpeg, too, finds pixels for the whole JPEG.
 
     Where a file was cut and then ended properly, OpenCV leaves the rest of the image at a grey of 128 without an error.
-    FFmpeg takes twice the time and so is only asked about images that end in this grey.
+    FFmpeg takes twice the time and so is only asked about images that end in this grey; without it, such an image
+    counts as whole.
     """
-    import av
-
+    try:
+        import av
+    except ModuleNotFoundError:
+        return True
     codec = av.CodecContext.create("mjpeg", "r")
     codec.options = {"err_detect": "explode", "max_pixels": str(MOST_PIXELS)}
     packet = av.Packet(len(data))
@@ -109,8 +112,8 @@ def _fills_its_image(data: Bytes) -> bool:
         codec.decode(packet)
     except av.error.InvalidDataError:
         return False
-    except av.error.FFmpegError:  # a rare kind that only OpenCV can decode
-        return True
+    except av.error.FFmpegError:
+        pass  # a rare kind that only OpenCV can decode
     return True
 
 
@@ -174,23 +177,19 @@ def _damaged(detail: str) -> UndecodableError:
     return UndecodableError("cut or damaged image", detail)
 
 
-_silent_lock = Lock()
-_silent_blocks = 0
-_former_level = 0
+_lock = Lock()
+_levels: list[int] = []  # OpenCV's log levels before each of the blocks that threads are in
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
     """Silence OpenCV's log while any thread is inside."""
-    global _silent_blocks, _former_level
-    with _silent_lock:
-        if not _silent_blocks:
-            _former_level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        _silent_blocks += 1
+    with _lock:
+        _levels.append(cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT))
     try:
         yield
     finally:
-        with _silent_lock:
-            _silent_blocks -= 1
-            if not _silent_blocks:
-                cv2.utils.logging.setLogLevel(_former_level)
+        with _lock:
+            former = _levels.pop()  # the first of them was not silent, and is the last to go
+            if not _levels:
+                cv2.utils.logging.setLogLevel(former)

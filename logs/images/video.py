@@ -5,24 +5,28 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import cast
 
-import av
 import numpy as np
-from av.codec.context import Flags
-from av.video.codeccontext import VideoCodecContext
-from av.video.frame import VideoFrame
-from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
+from airline.errors import from_extra
 from logs.messages.annexb import is_key_frame
 from logs.messages.types import UndecodableError, VideoPacket
 
-__all__ = ["StampedImage", "VideoDecoder", "is_key_frame"]
+with from_extra("video"):
+    import av
+    from av.codec.context import Flags
+    from av.video.codeccontext import VideoCodecContext
+    from av.video.frame import VideoFrame
+    from av.video.reformatter import VideoReformatter
 
-StampedImage = tuple[int, NDArray[np.uint8]]
-
+_Stamped = tuple[int, NDArray[np.uint8]]
 _CODECS = {"h264": "h264", "h265": "hevc"}
 # The largest picture of the highest level of either standard (6.2); FFmpeg refuses more before it allocates.
 _MOST_PIXELS = 139_264 * 256
+
+
+class _CorruptPictureError(Exception):
+    """FFmpeg has marked a picture as not whole."""
 
 
 class VideoDecoder:
@@ -32,6 +36,9 @@ class VideoDecoder:
     decoded up to the next key frame, as every picture until then would be predicted from a wrong one. FFmpeg notices
     cut and nearly all damaged H.264 pictures and missing H.265 ones, but few damaged H.265 pictures and no missing
     H.264 ones.
+
+    Raises:
+        ConfigError: PyAV is not installed.
     """
 
     def __init__(self) -> None:
@@ -39,9 +46,9 @@ class VideoDecoder:
         self._codec: VideoCodecContext | None = None
         self._reformatter = VideoReformatter()
         self._waits = True
-        self._ready: list[StampedImage] = []
+        self._ready: list[_Stamped] = []
 
-    def feed(self, packet: VideoPacket) -> list[StampedImage]:
+    def feed(self, packet: VideoPacket) -> list[_Stamped]:
         """Decode one packet, which holds one picture.
 
         Returns:
@@ -62,17 +69,17 @@ class VideoDecoder:
         except av.error.FFmpegError as error:
             self._drain(damaged_ns=packet.stamp_ns)
             raise UndecodableError("damaged video frame", error.strerror or "") from error
-        except _CorruptPicture as error:  # what is inside may have been predicted from it
+        except _CorruptPictureError as error:  # what is inside may have been predicted from it
             self._start_afresh()
             raise UndecodableError("damaged video frame", "its picture is not whole") from error
         return self._taken()
 
-    def flush(self) -> list[StampedImage]:
+    def flush(self) -> list[_Stamped]:
         """The images that are still inside; afterwards a new stream may begin."""
         self._drain()
         return self._taken()
 
-    def _taken(self) -> list[StampedImage]:
+    def _taken(self) -> list[_Stamped]:
         ready, self._ready = self._ready, []
         return ready
 
@@ -97,13 +104,13 @@ class VideoDecoder:
         unit.update(bytes(packet.data))
         unit.pts = packet.stamp_ns
         for frame in self._codec.decode(unit):
-            self._ready.append(self._image(frame))
+            self._take(frame)
 
-    def _image(self, frame: VideoFrame) -> StampedImage:
+    def _take(self, frame: VideoFrame) -> None:
         if frame.is_corrupt or frame.pts is None:
-            raise _CorruptPicture
+            raise _CorruptPictureError
         bgr = self._reformatter.reformat(frame, format="bgr24").to_ndarray()
-        return frame.pts, np.require(bgr, np.uint8, ("C", "W"))
+        self._ready.append((frame.pts, np.require(bgr, np.uint8, ("C", "W"))))
 
     def _drain(self, damaged_ns: int | None = None) -> None:
         """Keep the whole pictures that are inside and start afresh."""
@@ -113,16 +120,12 @@ class VideoDecoder:
         with suppress(av.error.FFmpegError):
             frames = self._codec.decode(None)
         for frame in frames:
-            with suppress(av.error.FFmpegError, _CorruptPicture):
-                if frame.pts != damaged_ns:
-                    self._ready.append(self._image(frame))
+            if frame.pts != damaged_ns:
+                with suppress(av.error.FFmpegError, _CorruptPictureError):
+                    self._take(frame)
         self._start_afresh()
 
     def _start_afresh(self) -> None:
         self._waits = True
         if self._codec is not None:
             self._codec.flush_buffers()
-
-
-class _CorruptPicture(Exception):  # noqa: N818 (never leaves this module)
-    pass

@@ -6,12 +6,11 @@ ITU-T H.264 and H.265, Annex B (start codes), table 7-1 of each (types of NAL un
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 from logs.messages.types import Bytes, VideoPacket
 
 _START = b"\x00\x00\x01"
-_H264_IDR, _H264_SEI, _H264_SPS = 5, 6, 7
+_H264_SEI = 6
 
 
 def video_format(declared: str) -> str | None:
@@ -40,25 +39,11 @@ def is_key_frame(packet: VideoPacket) -> bool:
     H.264: IDR (5) or sequence parameter set (7). H.265: random access pictures (16 to 21), video or sequence parameter
     set (32, 33). Only units up to the first picture are looked at.
     """
-    for header in _headers(bytes(packet.data)):
-        if packet.format == "h264":
-            kind = header & 31
-            if kind in (_H264_IDR, _H264_SPS):
-                return True
-            if 1 <= kind < _H264_IDR:
-                return False
-        else:
-            kind = header >> 1 & 63
-            if 16 <= kind <= 21 or kind in (32, 33):
-                return True
-            if kind < 16:
-                return False
+    h264 = packet.format == "h264"
+    for unit in re.finditer(b"\0\0\1(?=(.))", packet.data, re.DOTALL):
+        kind = unit[1][0] & 31 if h264 else unit[1][0] >> 1 & 63
+        if kind in ((5, 7) if h264 else (*range(16, 22), 32, 33)):
+            return True
+        if 1 <= kind < 5 if h264 else kind < 16:
+            return False
     return False
-
-
-def _headers(data: bytes) -> Iterator[int]:
-    """First header byte of each NAL unit."""
-    place = data.find(_START)
-    while 0 <= place < len(data) - len(_START):
-        yield data[place + len(_START)]
-        place = data.find(_START, place + len(_START))

@@ -6,8 +6,7 @@ protobuf and JSON; CDR has no room for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import cache
 from typing import Annotated, Any
 
 import msgspec
@@ -16,25 +15,21 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage as ProtobufRawImage
 from google.protobuf.message import DecodeError, Message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from logs.messages.annexb import video_format
-from logs.messages.stamps import stamp_ns
-from logs.messages.types import Bytes, CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
-
-_PROTOBUF: dict[str, type[Message]] = {
-    "RawImage": ProtobufRawImage,
-    "CompressedImage": CompressedImage,
-    "CompressedVideo": CompressedVideo,
-    "CameraCalibration": CameraCalibration,
-}
-_CDR_FIELDS = {
-    "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
-    "CompressedImage": "uint8[] data\nstring format",
-    "CompressedVideo": "uint8[] data\nstring format",
-    "CameraCalibration": "uint32 width\nuint32 height\nstring distortion_model\n"
-    "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
-}
-
+from logs.messages.ros import deserialise
+from logs.messages.types import (
+    Bytes,
+    CameraInfo,
+    EncodedImage,
+    RawImage,
+    Record,
+    UndecodableError,
+    VideoPacket,
+    stamp_ns,
+)
 
 _Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
@@ -44,7 +39,7 @@ class _JsonTime(msgspec.Struct):
     nsec: int
 
 
-class _JsonMessage(msgspec.Struct):
+class _JsonMessage(msgspec.Struct, kw_only=True):
     timestamp: _JsonTime
     frame_id: str = ""
 
@@ -72,100 +67,70 @@ class _JsonCalibration(_JsonMessage, kw_only=True):
     P: list[float] = []
 
 
-_JSON: dict[str, type[_JsonMessage]] = {
-    "RawImage": _JsonRawImage,
-    "CompressedImage": _JsonCompressed,
-    "CompressedVideo": _JsonCompressed,
-    "CameraCalibration": _JsonCalibration,
+# How each type is written down in each encoding.
+_TYPES: dict[str, tuple[type[Message], type[_JsonMessage], str]] = {
+    "RawImage": (
+        ProtobufRawImage,
+        _JsonRawImage,
+        "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
+    ),
+    "CompressedImage": (CompressedImage, _JsonCompressed, "uint8[] data\nstring format"),
+    "CompressedVideo": (CompressedVideo, _JsonCompressed, "uint8[] data\nstring format"),
+    "CameraCalibration": (
+        CameraCalibration,
+        _JsonCalibration,
+        "uint32 width\nuint32 height\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
+    ),
 }
 
 
-def _raw_image(message: Any, stamp: int) -> RawImage:
-    sizes = message.width, message.height
-    return RawImage(stamp, message.frame_id, *sizes, message.encoding, message.step, False, _data(message))
-
-
-def _compressed_image(message: Any, stamp: int) -> EncodedImage:
-    return EncodedImage(stamp, message.frame_id, _data(message))
-
-
-def _compressed_video(message: Any, stamp: int) -> VideoPacket:
+def _record(kind: str, message: Any, stamp: int) -> Record:
+    head = stamp, message.frame_id
+    if kind == "CameraCalibration":
+        capital = hasattr(message, "K")  # small letters in ROS 2
+        d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
+        r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        p = p or (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+        if (len(k), len(r), len(p)) != (9, 9, 12):
+            raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
+        return CameraInfo(*head, message.width, message.height, message.distortion_model, d, k, r, p)
+    data = message.data if isinstance(message.data, bytes) else message.data.data  # an array in CDR
+    if kind == "RawImage":
+        return RawImage(*head, message.width, message.height, message.encoding, message.step, False, data)
+    if kind == "CompressedImage":
+        return EncodedImage(*head, data)
     coding = video_format(message.format)
     if coding is None:
         raise UndecodableError("video format is not readable", message.format[:40])
-    return VideoPacket(stamp, message.frame_id, coding, _data(message))
+    return VideoPacket(*head, coding, data)
 
 
-def _camera_calibration(message: Any, stamp: int) -> CameraInfo:
-    capital = hasattr(message, "K")  # small letters in ROS 2
-    d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
-    r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    p = p or _without_rectification(k)
-    if (len(k), len(r), len(p)) != (9, 9, 12):
-        raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
-    return CameraInfo(stamp, message.frame_id, message.width, message.height, message.distortion_model, d, k, r, p)
+def read(kind: str, encoding: str, data: Bytes) -> Record:
+    """A message of "foxglove.<kind>" in "protobuf" or "json", or of "foxglove_msgs/<kind>" in "cdr".
 
-
-def _data(message: Any) -> Bytes:
-    data: Bytes = message.data if isinstance(message.data, bytes) else message.data.data  # an array in CDR
-    return data
-
-
-def _without_rectification(k: Sequence[float]) -> tuple[float, ...]:
-    return (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
-
-
-_RECORDS: dict[str, Callable[[Any, int], Record]] = {
-    "RawImage": _raw_image,
-    "CompressedImage": _compressed_image,
-    "CompressedVideo": _compressed_video,
-    "CameraCalibration": _camera_calibration,
-}
-
-
-def _read_protobuf(kind: str, data: Bytes) -> Record:
-    message: Any = _PROTOBUF[kind]()
+    Raises:
+        UndecodableError: the bytes are no such message.
+    """
+    protobuf, json, _ = _TYPES[kind]
+    message: Any
+    if encoding == "cdr":
+        message = deserialise(_cdr_store(), f"foxglove_msgs/msg/{kind}", "cdr", data)
+        return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
     try:
+        if encoding == "json":
+            message = msgspec.json.decode(data, type=json)
+            return _record(kind, message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
+        message = protobuf()
         message.ParseFromString(data)
-    except DecodeError as error:
+        return _record(kind, message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
+    except (DecodeError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UndecodableError("damaged message", str(error)) from error
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.seconds, message.timestamp.nanos))
-
-
-def _read_json(kind: str, data: Bytes) -> Record:
-    try:
-        message = msgspec.json.decode(data, type=_JSON[kind])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise UndecodableError("damaged message", str(error)) from error
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nsec))
 
 
 @cache
-def _cdr_store() -> Any:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
+def _cdr_store() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for kind, fields in _CDR_FIELDS.items():
+    for kind, (_, _, fields) in _TYPES.items():
         text = f"builtin_interfaces/Time timestamp\nstring frame_id\n{fields}\n"
         store.register(get_types_from_msg(text, f"foxglove_msgs/msg/{kind}"))
     return store
-
-
-def _read_cdr(kind: str, data: Bytes) -> Record:
-    from logs.messages.ros import read_cdr
-
-    message = read_cdr(_cdr_store(), f"foxglove_msgs/msg/{kind}", data)
-    return _RECORDS[kind](message, stamp_ns(message.timestamp.sec, message.timestamp.nanosec))
-
-
-_READERS = {"protobuf": _read_protobuf, "json": _read_json, "cdr": _read_cdr}
-
-
-def reader(name: str, encoding: str) -> Callable[[Bytes], Record]:
-    """How to read messages of "foxglove.<type>" in "protobuf" or "json", or of "foxglove_msgs/<type>" in "cdr".
-
-    Returns:
-        A function from a message to its record; it raises UndecodableError.
-    """
-    kind = name.removeprefix("foxglove.").removeprefix("foxglove_msgs/")
-    return partial(_READERS[encoding], kind)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache, partial
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from logs.messages.types import Bytes, Record
+from logs.messages.types import Bytes, Record, UndecodableError
+
+if TYPE_CHECKING:
+    from logs.files.types import LogMessage
 
 _IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket"}
 _CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
@@ -19,6 +24,7 @@ _MODULES = {
 }
 
 
+@cache
 def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | None:
     """How to read messages of one type; the libraries this takes are imported now.
 
@@ -34,8 +40,15 @@ def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | N
     module = _MODULES.get((name, encoding))
     if module is None:
         return None
-    read: Callable[[Bytes], Record] = import_module(f"logs.messages.{module}").reader(name, encoding)
-    return read
+    return partial(import_module(f"logs.messages.{module}").read, re.split("[./]", name)[-1], encoding)
+
+
+def read_message(message: LogMessage) -> Record:
+    """What a message of a log says; raises UndecodableError: it is damaged, or of a type that is not readable."""
+    read = reader_for(message.type.schema_name, message.type.encoding)
+    if read is None:
+        raise UndecodableError("its type is not readable", repr(str(message.type)))
+    return read(message.data)
 
 
 def is_image_type(schema_name: str) -> bool:

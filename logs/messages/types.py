@@ -28,7 +28,8 @@ class RawImage:
     Attributes:
         stamp_ns: the message's own stamp, ns, as it is: it may be zero or nonsense.
         frame_id: name of the camera's coordinate frame.
-        width, height: px, as claimed.
+        width: px, as claimed.
+        height: the same.
         encoding: ROS name such as "bgr8" or "bayer_rggb8".
         step: bytes from one row to the next.
         big_endian: byte order of 16-bit pixels.
@@ -69,10 +70,13 @@ class CameraInfo:
     """A camera calibration as messages carry it (sensor_msgs/CameraInfo, foxglove.CameraCalibration).
 
     Attributes:
-        width, height: px, of the images the calibration was made with.
+        width: px, of the images the calibration was made with.
+        height: the same.
         distortion_model: name such as "plumb_bob"; may be empty.
         d: distortion coefficients.
-        k, r, p: row-major 3x3 intrinsics, 3x3 rectification and 3x4 projection of the rectified image.
+        k: row-major 3x3 intrinsics.
+        r: row-major 3x3 rectification.
+        p: row-major 3x4 projection of the rectified image.
         binning: (x, y) pixels merged into one after calibration; 0 means 1.
         roi: (x_offset, y_offset, width, height) px of the part that was sent, before binning; zeros mean everything.
     """
@@ -91,3 +95,9 @@ class CameraInfo:
 
 
 Record = RawImage | EncodedImage | VideoPacket | CameraInfo
+
+
+def stamp_ns(seconds: int, nanoseconds: int) -> int:
+    """The time in ns; 0, which means that there is none, where it does not fit into 64 bits."""
+    stamp = seconds * 10**9 + nanoseconds
+    return stamp if abs(stamp) < 2**63 else 0

@@ -32,9 +32,9 @@ class Channel(NamedTuple):
     messages: Sequence[Logged]
 
 
-def drawn(number: int, height: int = 6, width: int = 8) -> np.ndarray:
+def drawn(number: int) -> np.ndarray:
     """A small noisy BGR picture that tells its number."""
-    image = np.random.default_rng(number).integers(0, 256, (height, width, 3), np.uint8)
+    image = np.random.default_rng(number).integers(0, 256, (6, 8, 3), np.uint8)
     image[0, 0] = number
     return image
 
@@ -46,9 +46,9 @@ def raw(number: int, stamp_ns: int, encoding: str = "bgr8") -> bytes:
     return cdr("Image", stamp_ns=stamp_ns, **image_fields(image.tobytes(), width, height, encoding, 3 * width))
 
 
-def encoded(number: int, stamp_ns: int, suffix: str = ".png") -> bytes:
+def encoded(number: int, stamp_ns: int) -> bytes:
     """A ROS 2 CompressedImage that holds `drawn(number)`."""
-    data = cv2.imencode(suffix, drawn(number))[1]
+    data = cv2.imencode(".png", drawn(number))[1]
     return cdr("CompressedImage", stamp_ns=stamp_ns, format="free text", data=data)
 
 

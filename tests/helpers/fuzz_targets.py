@@ -31,21 +31,21 @@ from tests.helpers.mcap_logs import messages, write
 from tests.logs.test_live_message import encoded
 from tests.logs.test_log_messages import MESSAGES
 
-Target = tuple[list[bytes], Callable[[bytes], None]]
+Target = tuple[list[bytes], Callable[[bytes], object]]
 
 
 def all_targets(folder: Path) -> dict[str, Target]:
     """Targets by name; files go into the folder."""
     return {
         **{f"message {schema} {encoding}": _message(schema, encoding) for schema, encoding in MESSAGES},
-        "live message": ([encoded()], lambda data: _ignore(decode(data))),
-        "tracks in JSON": ([encode_tracks(_frame(3))], lambda data: _ignore(decode_tracks(data))),
-        "image file": (_image_files(), lambda data: _ignore(decode_image(data))),
-        "settings": ([dump(RunConfig()).encode()], _file(folder / "s.toml", lambda path: _ignore(load(path, {})))),
-        "calibration": (_calibrations(), _file(folder / "c.yaml", lambda path: _ignore(read_calibration(path)))),
+        "live message": ([encoded()], decode),
+        "tracks in JSON": ([encode_tracks(_frame(3))], decode_tracks),
+        "image file": (_image_files(), decode_image),
+        "settings": ([dump(RunConfig()).encode()], _file(folder / "s.toml", lambda path: load(path, {}))),
+        "calibration": (_calibrations(), _file(folder / "c.yaml", read_calibration)),
         "weights": (
             [_weights()],
-            _file(folder / "w.safetensors", lambda path: _ignore((load_weights(path), load_ranges(path)))),
+            _file(folder / "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
         ),
         "log": (_logs(folder), _file(folder / "l.mcap", _read_log)),
         "tracks in MCAP": (_tracks(folder, "t.mcap"), _file(folder / "d.mcap", _read_tracks)),
@@ -54,11 +54,7 @@ def all_targets(folder: Path) -> dict[str, Target]:
     }
 
 
-def _ignore(result: object) -> None:
-    """What is read is let go."""
-
-
-def _file(path: Path, read: Callable[[Path], None]) -> Callable[[bytes], None]:
+def _file(path: Path, read: Callable[[Path], object]) -> Callable[[bytes], None]:
     def from_file(data: bytes) -> None:
         path.write_bytes(data)
         read(path)

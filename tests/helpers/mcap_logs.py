@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.data_stream import RecordBuilder
-from mcap.reader import SeekingReader
 from mcap.records import Chunk, Footer, McapRecord
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-MAGIC = b"\x89MCAP0\r\n"
+from logs.files import MCAP_MAGIC
+from logs.files.types import LogFile
+
 CHANNELS = {  # topic, encoding, schema by channel id
     1: ("/camera", "cdr", "sensor_msgs/msg/Image"),
     2: ("/camera", "json", "foxglove.RawImage"),
@@ -89,17 +90,14 @@ def chunked(sent: Sequence[Sent], size: int) -> list[Sequence[Sent]]:
     return [sent[k : k + size] for k in range(0, len(sent), size)]
 
 
-def rewrite(path: Path, change: Callable[[McapRecord], McapRecord]) -> None:
+def rewrite(path: Path, change: Callable[[McapRecord], None]) -> None:
     """Write all records anew, changed; without a CRC of the summary, and with offsets as they were."""
-    builder = RecordBuilder()
-    builder.write(MAGIC)
-    for record in StreamReader(io.BytesIO(path.read_bytes()), emit_chunks=True).records:
-        changed = change(record)
-        if isinstance(changed, Footer):
-            changed.summary_crc = 0
-        changed.write(builder)
-    builder.write(MAGIC)
-    path.write_bytes(builder.end())
+    records = list(StreamReader(io.BytesIO(path.read_bytes()), emit_chunks=True).records)
+    for record in records:
+        change(record)
+        if isinstance(record, Footer):
+            record.summary_crc = 0
+    path.write_bytes(MCAP_MAGIC + b"".join(map(record_bytes, records)) + MCAP_MAGIC)
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -108,28 +106,9 @@ def record_bytes(record: McapRecord) -> bytes:
     return builder.end()
 
 
-def chunk_bytes(stored: bytes, size: int, compression: str, crc: int = 0) -> bytes:
+def chunk_bytes(stored: bytes, size: int, compression: str) -> bytes:
     """A chunk record with any claim."""
-    return record_bytes(
-        Chunk(
-            compression=compression,
-            data=stored,
-            message_end_time=9,
-            message_start_time=1,
-            uncompressed_crc=crc,
-            uncompressed_size=size,
-        )
-    )
-
-
-def read_with_mcap(path: Path) -> list[Sent]:
-    """All messages, read strictly by the reference implementation."""
-    with path.open("rb") as file:
-        reader = SeekingReader(file, validate_crcs=True)
-        return [
-            Sent(channel.id, message.log_time, message.publish_time, message.sequence, bytes(message.data))
-            for _, channel, message in reader.iter_messages()
-        ]
+    return record_bytes(Chunk(compression, stored, 9, 1, 0, size))
 
 
 def on_topic(sent: Iterable[Sent], topic: str) -> list[tuple[int, int, str, bytes]]:
@@ -141,9 +120,9 @@ def on_topic(sent: Iterable[Sent], topic: str) -> list[tuple[int, int, str, byte
     ]
 
 
-def read(log: Any, topic: str, *arguments: Any, **options: Any) -> list[tuple[int, int, str, bytes]]:
+def read(log: LogFile, topic: str, start_ns: int | None = None) -> list[tuple[int, int, str, bytes]]:
     """The same of an opened log."""
     return [
         (message.log_ns, message.publish_ns, message.type.schema_name, bytes(message.data))
-        for message in log.messages(topic, *arguments, **options)
+        for message in log.messages(topic, start_ns)
     ]

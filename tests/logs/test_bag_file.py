@@ -1,4 +1,4 @@
-"""ROS bags as rosbags writes them, read back message by message, from any time, backwards, and after damage."""
+"""ROS bags as rosbags writes them, read back message by message, from any time, and after damage."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ TOPIC, OTHER = "/cam0/image_raw", "/imu0"
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 KINDS = ["none", "bz2", "lz4", "sqlite", "mcap", "sqlite messages", "mcap messages", "sqlite file", "db3"]
 
+PATTERN = bytes(range(251))
 Expected = list[tuple[int, bytes]]
 
 
 def content(number: int) -> bytes:
-    return b"\0\1\0\0" + struct.pack("<I", number) + bytes((number * 7 + k) % 251 for k in range(40_000))
+    return b"\0\1\0\0" + struct.pack("<I", number) + (PATTERN * 161)[number * 7 % 251 :][:40_000]
 
 
 def stamp(number: int) -> int:
@@ -75,10 +76,8 @@ def expected(kind: str = "") -> Expected:
     return [(stamp(number), content(number)) for number in range(2 * COUNT if kind == "split" else COUNT)]
 
 
-def read(bag: LogFile, start_ns: int | None = None, *, reverse: bool = False) -> Expected:
-    messages = list(bag.messages(TOPIC, start_ns, reverse=reverse))
-    assert all(message.topic == TOPIC and message.publish_ns == message.log_ns for message in messages)
-    return [(message.log_ns, bytes(message.data)) for message in messages]
+def read(bag: LogFile, start_ns: int | None = None) -> Expected:
+    return [(message.log_ns, bytes(message.data)) for message in bag.messages(TOPIC, start_ns)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -88,17 +87,13 @@ def test_everything_comes_back_and_from_anywhere(tmp_path: Path, kind: str) -> N
     bag = open_log(path)
     assert isinstance(bag, BagFile)
     whole = expected(kind)
-    assert bag.indexed
     assert {name: topic.count for name, topic in bag.topics.items()} == {TOPIC: len(whole), OTHER: 5 * len(whole)}
     ros1 = kind in ("none", "bz2", "lz4")
     assert str(bag.topics[TOPIC].type) == ("sensor_msgs/msg/Image as ros1" if ros1 else "sensor_msgs/msg/Image as cdr")
     assert bag.span_ns == (START, whole[-1][0] + 5000)
     assert read(bag) == whole
-    assert read(bag, reverse=True) == whole[::-1]
     for start_ns in (START + 1, stamp(17), 2**62):
         assert read(bag, start_ns) == [message for message in whole if message[0] >= start_ns]
-        earlier = [message for message in whole if message[0] < start_ns]
-        assert read(bag, start_ns, reverse=True) == earlier[::-1]
     assert list(bag.messages("/nowhere")) == []
     assert not bag.lost
     assert bag.name == ("some" if ros1 else path.stem)
@@ -106,28 +101,12 @@ def test_everything_comes_back_and_from_anywhere(tmp_path: Path, kind: str) -> N
     bag.close()
 
 
-@pytest.mark.parametrize("kind", ["none", "lz4", "sqlite", "mcap"])
-def test_agrees_with_rosbags_on_messages_out_of_order(tmp_path: Path, kind: str) -> None:
-    order = [*range(40, 0, -1), *range(60, 40, -1)]  # several ROS 1 chunks that overlap in time
-    path = write(tmp_path, kind, order)
-    if path.is_dir():
-        path = path.rename(tmp_path / "plain")
-    reader = rosbag2.Reader(path) if path.is_dir() else rosbag1.Reader(path)
-    with reader:
-        wanted = [connection for connection in reader.connections if connection.topic == TOPIC]
-        theirs = [(stamp_ns, bytes(data)) for _, stamp_ns, data in reader.messages(wanted)]
-    with closing(BagFile(path)) as bag:
-        assert read(bag) == theirs
-        assert [stamp_ns for stamp_ns, _ in theirs] == sorted(map(stamp, order))
-        assert read(bag, reverse=True) == theirs[::-1]
-
-
-@pytest.mark.parametrize("percent", range(5, 100, 10))
-def test_a_cut_bag_is_a_clear_error(tmp_path: Path, percent: int) -> None:
+def test_a_cut_bag_is_a_clear_error(tmp_path: Path) -> None:
     data = write(tmp_path, "lz4").read_bytes()
-    (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
-    with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
-        BagFile(tmp_path / "cut.bag")
+    for percent in range(5, 100, 10):
+        (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
+        with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
+            BagFile(tmp_path / "cut.bag")
 
 
 @pytest.mark.parametrize(("kind", "magic"), [("bz2", b"BZh9"), ("lz4", b"\x04\x22\x4d\x18")])
@@ -170,7 +149,6 @@ def test_a_recording_that_was_killed_is_read(tmp_path: Path) -> None:
     assert is_log(path)
     with closing(open_log(path)) as bag:
         assert read(bag) == expected("split")
-        assert read(bag, reverse=True) == expected("split")[::-1]
 
 
 @pytest.mark.parametrize("name", ["a.txt", "a.bag", "a.db3", "empty", "missing.bag", "nul\0.bag"])
@@ -201,7 +179,6 @@ def test_arbitrary_damage_never_raises_anything_else(
         try:
             with closing(BagFile(path)) as bag:
                 assert len(read(bag)) <= 100
-                assert len(read(bag, reverse=True)) <= 100
                 assert bag.span_ns is None or len(bag.span_ns) == 2
         except AirLineError:
             continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import time
 from pathlib import Path
 
@@ -12,36 +11,23 @@ import pytest
 from airline.errors import AirLineError
 from frontend.camera.calibration import read_calibration
 from frontend.cli.settings import load
-from tests.helpers.fuzz import attempt, fuzz, mutated, targets
+from tests.helpers.fuzz import attempt, fuzz
+from tests.helpers.fuzz_targets import all_targets
 
 INPUTS = 60
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("fuzz")
-
-
-def test_nothing_but_our_errors(folder: Path) -> None:
-    found = {name: fuzz(name, target, INPUTS, 1, folder) for name, target in targets(folder).items()}
+def test_nothing_but_our_errors(tmp_path: Path) -> None:
+    found = {name: fuzz(name, target, INPUTS, 1, tmp_path) for name, target in all_targets(tmp_path).items()}
     assert len(found) > 20
     assert not {name: findings for name, findings in found.items() if findings}
 
 
-def test_the_harness_sees_faults(folder: Path) -> None:
-    def crash(data: bytes) -> None:
-        raise ZeroDivisionError("no")
-
-    def follow(data: bytes) -> None:
-        Path("/etc/hostname").exists()
-        with Path("/etc/passwd").open():
-            pass
-
-    assert "ZeroDivisionError: no" in (attempt(crash, b"", folder) or "")
-    assert attempt(follow, b"", folder) == "opened /etc/passwd"
-    assert "took 2" in (attempt(lambda _: time.sleep(2.1), b"", folder) or "")
-    assert attempt(lambda _: None, b"", folder) is None
-    assert len({mutated(random.Random(seed), [b"abcdefgh"]) for seed in range(100)}) > 80
+def test_the_harness_sees_faults(tmp_path: Path) -> None:
+    assert "ZeroDivisionError" in (attempt(lambda _: 1 / 0, b"", tmp_path) or "")
+    assert attempt(lambda _: Path("/etc/passwd").read_text(), b"", tmp_path) == "opened /etc/passwd"
+    assert "took 2" in (attempt(lambda _: time.sleep(2.1), b"", tmp_path) or "")
+    assert attempt(lambda _: None, b"", tmp_path) is None
 
 
 @pytest.mark.parametrize("tag", ["!!python/object/apply:os.system", "!!python/name:os.system", "!!python/module:os"])

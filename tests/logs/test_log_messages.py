@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import subprocess
-import sys
 import tracemalloc
 from io import BytesIO
 from pathlib import Path
@@ -15,13 +13,11 @@ import foxglove.messages
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf import CameraCalibration_pb2, CompressedImage_pb2, CompressedVideo_pb2, RawImage_pb2
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.messages.registry import _MODULES, is_calibration_type, is_image_type, reader_for
+from logs.messages.registry import is_calibration_type, is_image_type, reader_for
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
 from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
 
@@ -32,23 +28,6 @@ SEC, NSEC = divmod(STAMP_NS, 10**9)
 IDR = b"\0\0\0\1\x67\x42\0\0\1\x65\x88"
 IDR_H265 = b"\0\0\0\1\x40\1\x0c"
 UNPADDED_P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
-
-IMAGE_DEFINITION = """std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
 
 
 def read(schema: str, encoding: str, data: bytes) -> Record:
@@ -137,13 +116,7 @@ def expected(schema: str) -> Record:
 @pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
 def test_every_type_reads_back(schema: str, encoding: str) -> None:
     assert read(schema, encoding, MESSAGES[schema, encoding]) == expected(schema)
-
-
-def test_every_readable_type_is_tested() -> None:
-    tested = {(schema.replace("/msg/", "/"), encoding) for schema, encoding in MESSAGES}
-    assert tested | {(name, "cdr") for name, encoding in tested if encoding == "ros1"} == set(_MODULES)
-    for schema, _ in MESSAGES:
-        assert is_calibration_type(schema) == isinstance(expected(schema), CameraInfo) != is_image_type(schema)
+    assert is_calibration_type(schema) == isinstance(expected(schema), CameraInfo) != is_image_type(schema)
 
 
 def test_other_types() -> None:
@@ -158,16 +131,11 @@ def test_other_types() -> None:
     assert reader_for("sensor_msgs/msg/Image", "protobuf") is None
 
 
-def test_importing_the_registry_is_light() -> None:
-    heavy = "{'cv2', 'av', 'rosbags', 'google.protobuf', 'msgspec', 'numpy'}"
-    script = f"import logs.messages.registry, sys; print({heavy} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True) == "set()\n"
-
-
 def test_mcap_ros2_writer_agrees() -> None:
     file = BytesIO()
     writer = Ros2Writer(file)
-    schema = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE_DEFINITION)
+    definition = ROS2.generate_msgdef("sensor_msgs/msg/Image", ros_version=2)[0]
+    schema = writer.register_msgdef("sensor_msgs/msg/Image", definition)
     header = {"stamp": {"sec": SEC, "nanosec": NSEC}, "frame_id": FRAME}
     writer.write_message("/camera", schema, {"header": header, **IMAGE, "data": PIXELS})
     writer.finish()
@@ -186,13 +154,6 @@ def test_foxglove_sdk_agrees() -> None:
 def test_big_endian_cdr() -> None:
     for kind, fields in (("Image", IMAGE), ("CameraInfo", info_fields(ROS2))):
         assert read(f"sensor_msgs/msg/{kind}", "cdr", cdr(kind, little_endian=False, **fields)) == expected(kind)
-
-
-def test_raw_pixels_are_a_view() -> None:
-    data = bytearray(MESSAGES["sensor_msgs/msg/Image", "cdr"])
-    record = reader_for("sensor_msgs/msg/Image", "cdr")(memoryview(data))  # type: ignore[misc]
-    data[data.find(PIXELS)] = 99
-    assert record.data[0] == 99  # type: ignore[union-attr]
 
 
 def test_fields_of_newer_schemas_are_passed_over() -> None:
@@ -295,14 +256,6 @@ def attempt(schema: str, encoding: str, data: bytes) -> None:
     assert reason in ("damaged message", "compressed depth is not readable", "video format is not readable")
 
 
-@given(content=st.binary(max_size=200))
-@settings(max_examples=60, deadline=None)
-@pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
-def test_arbitrary_bytes(schema: str, encoding: str, content: bytes) -> None:
-    attempt(schema, encoding, content)
-    attempt(schema, encoding, b"\0\1\0\0" + content)
-
-
 @pytest.mark.parametrize(("schema", "encoding"), MESSAGES)
 def test_cut_and_mutated_messages(schema: str, encoding: str) -> None:
     """Nothing but UndecodableError, and no more memory than a small multiple of the message."""
@@ -332,11 +285,3 @@ def test_deep_json() -> None:
         read("foxglove.RawImage", "json", deep)
     with pytest.raises(UndecodableError):
         read("foxglove.RawImage", "json", b'{"other":' + b'{"a":' * 100_000)
-
-
-@given(
-    width=st.integers(-(2**70), 2**70), step=st.integers(), encoding=st.text(max_size=9), data=st.binary(max_size=40)
-)
-@settings(max_examples=100, deadline=None)
-def test_any_json_field(width: int, step: int, encoding: str, data: bytes) -> None:
-    attempt("foxglove.RawImage", "json", as_json(width=width, height=2, encoding=encoding, step=step, data=data))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from airline.image import to_uint8
-from logs.images.decoder import ImageDecoder
-from logs.images.sixteen_bits import SteadyScale
+from logs.images.decoder import ImageDecoder, SteadyScale
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from tests.helpers.camera_messages import picture, rendered
 
@@ -52,14 +51,6 @@ def test_images_of_one_value_tell_no_range(value: int) -> None:
     np.testing.assert_array_equal(scale(thermal()), fresh)
     scale(constant)
     np.testing.assert_array_equal(scale(thermal()), fresh)
-
-
-def test_depth_with_holes_and_tiny_images() -> None:
-    depth = thermal()
-    depth[::2] = 0
-    assert SteadyScale()(depth).max() == 255
-    for shape in ((1, 1), (1, 5), (5, 1), (2, 2, 3)):
-        assert SteadyScale()(np.ones(shape, np.uint16)).shape == shape
 
 
 def test_decoder_gives_eight_bits_and_stamps() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import suppress
 from fractions import Fraction
 from functools import cache
@@ -10,15 +11,13 @@ from itertools import chain
 import av
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from logs.images import video
+from airline.errors import ConfigError
 from logs.images.decoder import ImageDecoder
-from logs.images.video import VideoDecoder, is_key_frame
-from logs.messages.registry import reader_for
+from logs.images.video import VideoDecoder
+from logs.messages.annexb import is_key_frame
 from logs.messages.types import UndecodableError, VideoPacket
-from tests.helpers.camera_messages import STAMP_NS, cdr, picture
+from tests.helpers.camera_messages import STAMP_NS, picture
 
 COUNT = 12
 GROUP = 6
@@ -103,14 +102,6 @@ def test_stamps_stay_with_their_images_under_reordering(name: str) -> None:
 
 
 @both
-def test_any_stamp_is_kept(name: str) -> None:
-    packets = stream(name)[:4]
-    stamps = [0, 0, -5, 2**63 - 1]
-    images, _ = run([VideoPacket(stamp, "", name, p.data) for stamp, p in zip(stamps, packets, strict=True)])
-    assert [found[0][0] for found in images[:-1]] == stamps
-
-
-@both
 def test_key_frames(name: str) -> None:
     packets = stream(name)
     assert [is_key_frame(packet) for packet in packets] == [place % GROUP == 0 for place in range(COUNT)]
@@ -154,25 +145,6 @@ def test_empty_packet_does_not_end_the_stream(name: str) -> None:
     check(decoder.feed(packets[1]), [1])
 
 
-@both
-def test_flush_begins_anew(name: str) -> None:
-    decoder = VideoDecoder()
-    packets = stream(name)
-    decoder.feed(packets[0])
-    assert decoder.flush() == []
-    with pytest.raises(UndecodableError, match="waits for a key frame"):
-        decoder.feed(packets[1])
-    check(decoder.feed(packets[GROUP]), [GROUP])
-
-
-@both
-def test_pictures_beyond_the_standards_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video, "_MOST_PIXELS", 256 * 192 - 1)
-    images, failures = run(stream(name))
-    assert not any(images)
-    assert {failures[0], failures[GROUP]} == {"damaged video frame"}
-
-
 def exp_golomb(number: int) -> str:
     bits = f"{number + 1:b}"
     return "0" * (len(bits) - 1) + bits
@@ -189,12 +161,6 @@ def test_huge_h264_picture() -> None:
         decoder.feed(VideoPacket(0, "", "h264", huge))
 
 
-def test_other_formats() -> None:
-    with pytest.raises(UndecodableError) as caught:
-        VideoDecoder().feed(VideoPacket(0, "", "vp9", b"x"))
-    assert caught.value.reason == "video format is not readable"
-
-
 @both
 def test_change_of_format(name: str) -> None:
     other = "h265" if name == "h264" else "h264"
@@ -202,21 +168,6 @@ def test_change_of_format(name: str) -> None:
     check(decoder.feed(stream(name)[0]), [0])
     check(decoder.feed(stream(other)[0]), [0])
     check(decoder.feed(stream(name)[GROUP]), [GROUP])
-
-
-@both
-def test_from_ros_messages(name: str) -> None:
-    """As ROS drivers send it, inside CompressedImage; the topic's decoder takes it like any other record."""
-    reader = reader_for("sensor_msgs/msg/CompressedImage", "cdr")
-    assert reader is not None
-    decoder = ImageDecoder()
-    images = []
-    for packet in stream(name):
-        data = np.frombuffer(packet.data, np.uint8)
-        record = reader(cdr("CompressedImage", stamp_ns=packet.stamp_ns, format="", data=data))
-        assert isinstance(record, VideoPacket)
-        images += decoder.decode(record)
-    check(images + decoder.flush(), list(range(COUNT)))
 
 
 @both
@@ -244,14 +195,8 @@ def test_mutated_streams(name: str, b_frames: int, capfd: pytest.CaptureFixture[
     assert capfd.readouterr().err == ""
 
 
-@given(packets=st.lists(st.binary(max_size=60), max_size=4))
-@settings(max_examples=60, deadline=None)
-@both
-def test_any_packets(name: str, packets: list[bytes]) -> None:
-    decoder = VideoDecoder()
-    key = b"\0\0\1\x67" if name == "h264" else b"\0\0\1\x40\1"
-    for data in packets:
-        for unit in (data, key + data):
-            with suppress(UndecodableError):
-                decoder.feed(VideoPacket(1, "", name, unit))
-    decoder.flush()
+def test_without_pyav(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    monkeypatch.delitem(sys.modules, "logs.images.video")
+    with pytest.raises(ConfigError, match=r"av is not installed: pip install 'airline-frontend\[video\]'"):
+        ImageDecoder().decode(VideoPacket(0, "", "h264", b"\0\0\1\x65"))
