@@ -56,8 +56,8 @@ def check_distinct(spec: str | None, outputs: list[Path]) -> None:
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C; print and write the summary; returns the exit code."""
-    from logs.live.address import open_publisher, parse_address
-    from logs.sinks.open import check, kind_and_path, open_track_sink
+    from logs.live.address import parse_address
+    from logs.sinks.open import check, kind_and_path, open_publisher, open_track_sink
 
     video = video_to_log(options.input, config)
     check_output(options.save, "--save", ".rrd")

@@ -1,4 +1,4 @@
-"""Which sink an output name stands for."""
+"""Which sink the name of an output or an address stands for."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.errors import InputError
+from logs.live.address import parse_address
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
+    from logs.live.foxglove import FoxgloveServer
+    from logs.live.zeromq import ZmqPublisher
 
 KINDS = {
     "mcap": "NAME.mcap (for Foxglove)",
@@ -48,17 +51,12 @@ def check(spec: str, overwrite: bool = False) -> None:
     """Refuse, before any work, an output that exists or that cannot be made; raises InputError."""
     kind, path = kind_and_path(spec)
     if kind == "limap":
-        from logs.sinks.limap import check_folder
-
-        check_folder(path, overwrite)
+        from logs.sinks.limap import check_folder as check_output
     elif kind == "parquet":
-        from logs.sinks.parquet import check_table
-
-        check_table(path, overwrite)
+        from logs.sinks.parquet import check_table as check_output
     else:
-        from logs.sinks.output import check_new
-
-        check_new(path, overwrite)
+        from logs.sinks.output import check_new as check_output
+    check_output(path, overwrite)
 
 
 def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
@@ -93,3 +91,25 @@ def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = F
     from logs.sinks.limap import LimapTrackSink
 
     return LimapTrackSink(path, overwrite=overwrite)
+
+
+def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
+    """Bind an address for tracked lines.
+
+    Args:
+        address: see `parse_address`.
+        name: of the input.
+        labels: write ids beside the lines, where a viewer is served.
+
+    Raises:
+        ConfigError: a text that is no address; the extra that serves it is not installed.
+        InputError: the address is taken, or cannot be had.
+    """
+    parsed = parse_address(address)
+    if parsed.scheme == "ws":
+        from logs.live.foxglove import FoxgloveServer
+
+        return FoxgloveServer(parsed, name, labels=labels)
+    from logs.live.zeromq import ZmqPublisher
+
+    return ZmqPublisher(parsed, name)

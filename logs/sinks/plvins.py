@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from airline.errors import ConfigError, InputError
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.mcap_output import McapOutput
+from logs.sinks.output import McapOutput
 
 TOPIC = "/linefeature_tracker/linefeature"
 
@@ -86,7 +86,7 @@ class PlVinsTrackSink:
         self._store = get_typestore(Stores.ROS1_NOETIC)
         definition, _ = self._store.generate_msgdef(_TYPE, ros_version=1)
         metadata = {"lines": "normalized coordinates on the plane z = 1: start in points, number and end in channels"}
-        self._output = McapOutput(Path(path), {"airline-frontend": metadata}, profile="ros1", overwrite=overwrite)
+        self._output = McapOutput(Path(path), overwrite, metadata, profile="ros1")
         self._channel = self._output.channel(
             TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode("ascii")
         )

@@ -109,7 +109,7 @@ def run_python(text: str, given: dict[str, Any]) -> str | None:
 
 def publish(address: str) -> None:
     """A run at the other end of the live stream."""
-    from logs.live.address import open_publisher
+    from logs.sinks.open import open_publisher
     from tests.helpers.made_tracks import clip_results
 
     publisher = open_publisher(address, "clip")

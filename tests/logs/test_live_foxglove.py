@@ -15,9 +15,9 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
-from logs.live.address import open_publisher
 from logs.live.foxglove import FoxgloveServer
-from logs.sinks.foxglove import schema_of
+from logs.sinks.mcap_tracks import schema_of
+from logs.sinks.open import open_publisher
 from logs.tracks.json import decode_tracks
 from tests.helpers.foxglove_client import FoxgloveClient
 from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of

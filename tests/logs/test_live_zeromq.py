@@ -22,9 +22,10 @@ import zmq
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs import subscribe_tracks
-from logs.live.address import Address, open_publisher, parse_address
+from logs.live.address import Address, parse_address
 from logs.live.message import encode_end, encode_frame
 from logs.live.zeromq import ZmqPublisher
+from logs.sinks.open import open_publisher
 from tests.helpers.made_tracks import CAMERA, assert_all_same, clip_results, made_tracks, result_of
 
 LOCAL = "tcp://127.0.0.1:0"

@@ -20,8 +20,7 @@ from airline.errors import InputError
 from frontend.colours import track_colours
 from logs.read import read_tracks
 from logs.sinks.mcap_tracks import McapTrackSink
-from logs.tracks.json import decode_tracks, encode_tracks
-from logs.tracks.schema import SCHEMA
+from logs.tracks.json import SCHEMA, decode_tracks, encode_tracks
 from tests.helpers.made_tracks import (
     CAMERA,
     FISHEYE,
@@ -204,7 +203,7 @@ def test_times_before_the_epoch_are_refused(tmp_path):
         ({"ids": [1, 2]}, "different lengths"),
         ({"ids": [1, 2, 2**63]}, "ids"),
         ({"ids": [1, 2, "3"]}, "ids"),
-        ({"states": [0, 1, 7]}, "states"),
+        ({"states": [0, 1, 7]}, "unknown state"),
         ({"ages": [0, 1, 2**31]}, "ages"),
         ({"scores": [0, 1, 1e39]}, "scores"),
         ({"segments_px": [[[0, 0], [0, 0]]] * 2 + [[[0, 0], [0]]]}, "segments_px"),

@@ -189,7 +189,7 @@ def clip_journal(path: Path) -> tuple[bytes, list[int]]:
     ends = [journal.stat().st_size]
     for result in clip_results():
         sink.write(result)
-        sink._writer.flush()
+        sink.flush()
         ends.append(journal.stat().st_size)
     whole = journal.read_bytes()
     sink.close()
@@ -227,10 +227,9 @@ import resource, signal, sys
 from airline.errors import InputError
 from tests.helpers.made_tracks import made_tracks, result_of
 from logs.sinks.open import open_track_sink
-from logs.sinks import csv, mcap_output, parquet
+from logs.sinks import output
 import numpy as np
-for module in (csv, mcap_output, parquet):
-    module.FLUSH_S = 0.0
+output.FLUSH_S = 0.0
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 sink = open_track_sink(sys.argv[1])

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from airline.errors import InputError
 from logs.read import read_tracks
 from logs.sinks.csv import CsvTrackSink
-from logs.sinks.parquet import ParquetTrackSink
+from logs.sinks.parquet import ParquetTrackSink, journal_of
 from logs.tracks.table import SCHEMA, TableNotes
 from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of, streams
 
@@ -80,9 +80,9 @@ def test_odd_streams_read_back_the_same(tmp_path_factory, stream, every):
     for k, tracks in enumerate(stream):
         sink.write(result_of(tracks))
         if k % every == 0:
-            sink._writer.flush()
-    sink._writer.flush()
-    assert_all_same(list(read_tracks(sink._journal)), stream)
+            sink.flush()
+    sink.flush()
+    assert_all_same(list(read_tracks(journal_of(path))), stream)
     sink.close()
     assert_all_same(list(read_tracks(path)), stream)
 
@@ -176,14 +176,14 @@ def column(name, values):
         (lambda table, notes: (table.slice(1), notes), "first of a frame"),
         (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
         (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
-        (column("lost_ids", lambda values: [v and [*v, 7] if v is None else [*v, 7] for v in values]), "lost tracks"),
+        (column("lost_ids", lambda values: [v and [*v, 7] if v is None else [*v, 7] for v in values]), "different lengths"),
         (column("lost_ids", lambda values: [v if v is None else [None] for v in values]), "missing"),
         (column("state", lambda values: [9] * len(values)), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
         (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
         (column("stamp_ns", lambda values: [*values[:-1], 0]), "disagree"),
         (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
-        (column("descriptor", lambda values: [None, *values[1:]]), "descriptors are missing"),
+        (column("descriptor", lambda values: [None, *values[1:]]), "numbers are missing"),
     ],
 )  # fmt: skip
 def test_tables_of_others_are_refused_in_one_sentence(path, tmp_path, change, complaint):
@@ -228,7 +228,7 @@ def damageable(tmp_path_factory) -> dict[str, bytes]:
         sink = ParquetTrackSink(folder / "t.parquet")
         for k in range(4):
             sink.write(result_of(made_tracks(k, k, np.arange(3 * (k % 2)), np.random.default_rng(k), lost=1)))
-            sink._writer.flush()
+            sink.flush()
         FILES["t.parquet.unfinished"] = (folder / "t.parquet.unfinished").read_bytes()
         sink.close()
         FILES["t.parquet"] = (folder / "t.parquet").read_bytes()
