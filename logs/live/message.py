@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airline.errors import AirLineError, InputError
 from frontend.protocols import FrameResult
 from frontend.tracks import FIELDS, NORMALIZED, Field, LineTracks
-from logs.tracks.json import Camera, Int, Size, assembled, camera_fields
+from logs.tracks.json import Camera, Int, Size, assembled
 
 VERSION = 1
 MAX_BYTES = 1 << 24  # a hundred thousand lines
@@ -56,7 +56,7 @@ class _Array(msgspec.Struct):
 
     def read(self, field: Field, rows: int) -> NDArray[Any]:
         """The array; raises ValueError where it is another than it has to be."""
-        dtype, shape = _sent_as(field), (rows, *(self.shape[1:2] if field.shape == (-1,) else field.shape))
+        dtype, shape = _little_endian(field), (rows, *(self.shape[1:2] if field.shape == (-1,) else field.shape))
         if self.dtype != dtype.str or self.shape != shape or len(shape) != 1 + len(field.shape):
             raise ValueError(f"it is {self.dtype} {list(self.shape)}, not {dtype.str} {[rows, *field.shape]}")
         if len(self.data) != dtype.itemsize * math.prod(shape):
@@ -64,19 +64,15 @@ class _Array(msgspec.Struct):
         return np.frombuffer(self.data, dtype).reshape(shape).astype(field.dtype)
 
 
-def _sent_as(field: Field) -> np.dtype[Any]:
-    return np.dtype(field.dtype.newbyteorder("<"))
-
-
 class _Version(msgspec.Struct):
     version: int
 
 
-class _Envelope(msgspec.Struct):
+class _Envelope(_Version):
     type: Literal["tracks", "end"]
+    name: str
     stream: Int
     sequence: Annotated[int, Meta(ge=0, le=2**63 - 1)]
-    name: str
     sent_ns: Int
 
 
@@ -90,7 +86,7 @@ class _Tracks(_Envelope):
     arrays: dict[str, _Array]
 
     def model(self) -> LineTracks:
-        """The tracks; raises ValueError for arrays that are missing or do not fit, ConfigError for an odd camera."""
+        """The tracks; raises ValueError for arrays that do not fit, ConfigError for an odd camera."""
         firsts = {"seen": "ids", "lost": "lost_ids", "ended": "ended_ids"}
         counts = {rows: (self.arrays[name].shape or (0,))[0] for rows, name in firsts.items() if name in self.arrays}
         found = {}
@@ -104,44 +100,36 @@ class _Tracks(_Envelope):
         return assembled(self.frame_index, self.stamp_ns, found, camera, self.reset)
 
 
+def _little_endian(field: Field) -> np.dtype[Any]:
+    dtype: np.dtype[Any] = field.dtype.newbyteorder("<")
+    return dtype
+
+
 _encoder = msgspec.msgpack.Encoder()
 
 
-def encode_frame(result: FrameResult, *, stream: int, sequence: int, name: str, sent_ns: int) -> bytes:
-    """The message of one frame; see `LiveTracks` for the arguments."""
-    tracks = result.tracks
-    height, width = result.frame.image.shape[:2]
-    arrays = {field.name: getattr(tracks, field.name) for field in ARRAYS}
-    if arrays[NORMALIZED.name] is None:
-        arrays[NORMALIZED.name] = np.full((len(tracks), *NORMALIZED.shape), np.nan)
-    return _encode(
-        "tracks",
-        stream=stream,
-        sequence=sequence,
-        name=name,
-        sent_ns=sent_ns,
-        read_ns=result.read_ns,
-        frame_index=int(tracks.frame_index),
-        stamp_ns=int(tracks.stamp_ns),
-        image_size=(width, height),
-        camera=camera_fields(tracks.camera),
-        reset=tracks.reset,
-        arrays={field.name: _packed(field, arrays[field.name]) for field in ARRAYS},
+def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str, sent_ns: int) -> bytes:
+    """The message of one frame, or without one that which ends a stream; see `LiveTracks` for the other arguments."""
+    readable = name.encode("utf-8", "replace").decode()  # a file's name need not be text
+    envelope = (readable, stream, sequence, sent_ns)
+    if result is None:
+        return _encoder.encode(_Envelope(VERSION, "end", *envelope))
+    tracks, (height, width) = result.tracks, result.frame.image.shape[:2]
+    arrays = {}
+    for field in ARRAYS:
+        dtype, array = _little_endian(field), getattr(tracks, field.name)
+        if array is None:
+            array = np.full((len(tracks), *field.shape), np.nan)
+        arrays[field.name] = _Array(dtype.str, array.shape, np.asarray(array, dtype).tobytes())
+    message = _Tracks(
+        *(VERSION, "tracks", *envelope, result.read_ns, int(tracks.frame_index), int(tracks.stamp_ns)),
+        *((width, height), Camera.of(tracks.camera), tracks.reset, arrays),
     )
-
-
-def _packed(field: Field, array: NDArray[Any]) -> dict[str, Any]:
-    dtype = _sent_as(field)
-    return {"dtype": dtype.str, "shape": array.shape, "data": np.asarray(array, dtype).tobytes()}
-
-
-def encode_end(*, stream: int, sequence: int, name: str, sent_ns: int) -> bytes:
-    """The message that ends a stream."""
-    return _encode("end", stream=stream, sequence=sequence, name=name, sent_ns=sent_ns)
+    return _encoder.encode(message)
 
 
 def decode(data: bytes) -> LiveTracks:
-    """The inverse of `encode_frame` and `encode_end`, for bytes of anybody.
+    """The inverse of `encode`, for bytes of anybody.
 
     Raises:
         InputError: no such message, one of another version, or one whose parts do not fit each other.
@@ -165,8 +153,3 @@ def decode(data: bytes) -> LiveTracks:
         raise
     except (msgspec.MsgspecError, ValueError, RecursionError, AirLineError) as error:
         raise InputError(f"not a valid message of a line stream: {error}") from error
-
-
-def _encode(kind: str, *, name: str, **fields: Any) -> bytes:
-    readable = name.encode("utf-8", "replace").decode()  # a file's name need not be text
-    return _encoder.encode({"version": VERSION, "type": kind, "name": readable, **fields})

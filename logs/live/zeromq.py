@@ -14,7 +14,7 @@ from airline.errors import ConfigError, InputError, from_extra
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.live.address import Address, cannot_publish, parse_address
-from logs.live.message import MAX_BYTES, LiveTracks, decode, encode_end, encode_frame
+from logs.live.message import MAX_BYTES, LiveTracks, decode, encode
 
 with from_extra("zeromq"):
     import zmq
@@ -73,19 +73,19 @@ class ZmqPublisher:
         """Send one frame's tracks."""
         if self._sequence == 0:
             time.sleep(max(0.0, self._first_s - time.monotonic()))
-        stream, number, name = self._stream, self._sequence, self._name
-        self._send(encode_frame(result, stream=stream, sequence=number, name=name, sent_ns=time.time_ns()))
+        self._send(result)
 
     def close(self) -> None:
         """Say that this was all, and wait at most a second for consumers that are behind; safe to call twice."""
         if not self._socket.closed:
-            stream, number, name = self._stream, self._sequence, self._name
-            self._send(encode_end(stream=stream, sequence=number, name=name, sent_ns=time.time_ns()))
+            self._send(None)
             self._socket.close()  # by ourselves: a context that is interrupted forgets its sockets, and waits for them
         self._context.term()
 
-    def _send(self, message: bytes) -> None:
-        self._socket.send(message)
+    def _send(self, result: FrameResult | None) -> None:
+        self._socket.send(
+            encode(result, stream=self._stream, sequence=self._sequence, name=self._name, sent_ns=time.time_ns())
+        )
         self._sequence += 1
 
 

@@ -29,7 +29,7 @@ from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.output import McapOutput
-from logs.tracks.json import CONVENTIONS, SCHEMA, SCHEMA_NAME, SECOND_NS, camera_fields, encode_tracks
+from logs.tracks.json import CONVENTIONS, SCHEMA, SCHEMA_NAME, SECOND_NS, Camera, encode_tracks
 
 ANNOTATIONS_TOPIC = "/lines/annotations"
 TRACKS_TOPIC = "/lines/tracks"
@@ -224,7 +224,7 @@ class McapTrackSink:
         camera, before, self._camera = tracks.camera, self._camera, tracks.camera
         if camera is None:
             return False
-        changed = camera is not before and camera_fields(camera) != camera_fields(before)
+        changed = camera is not before and Camera.of(camera) != Camera.of(before)
         due = changed or self._calibrated_ns is None or tracks.stamp_ns - self._calibrated_ns >= SECOND_NS
         if due:
             self._calibrated_ns = tracks.stamp_ns

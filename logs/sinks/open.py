@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.errors import InputError
 from logs.live.address import parse_address
+from logs.sinks.output import check_new
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
     from logs.live.foxglove import FoxgloveServer
     from logs.live.zeromq import ZmqPublisher
 
-KINDS = {
-    "mcap": "NAME.mcap (for Foxglove)",
-    "parquet": "NAME.parquet",
-    "csv": "NAME.csv",
-    "plvins": "plvins.mcap or plvins:NAME.mcap (for PL-VINS)",
-    "limap": "limap/ or limap:FOLDER (for LIMAP)",
+KINDS = {  # what to give, and the module and class that write it
+    "mcap": ("NAME.mcap (for Foxglove)", "logs.sinks.mcap_tracks", "McapTrackSink"),
+    "parquet": ("NAME.parquet", "logs.sinks.parquet", "ParquetTrackSink"),
+    "csv": ("NAME.csv", "logs.sinks.csv", "CsvTrackSink"),
+    "plvins": ("plvins.mcap or plvins:NAME.mcap (for PL-VINS)", "logs.sinks.plvins", "PlVinsTrackSink"),
+    "limap": ("limap/ or limap:FOLDER (for LIMAP)", "logs.sinks.limap", "LimapTrackSink"),
 }
 
 
@@ -44,19 +46,22 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
         return "plvins", path
     if path.suffix.lower() in (".mcap", ".parquet", ".csv"):
         return path.suffix.lower()[1:], path
-    raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(KINDS.values())}")
+    raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
 
 
 def check(spec: str, overwrite: bool = False) -> None:
     """Refuse, before any work, an output that exists or that cannot be made; raises InputError."""
     kind, path = kind_and_path(spec)
     if kind == "limap":
-        from logs.sinks.limap import check_folder as check_output
+        from logs.sinks.limap import check_folder
+
+        check_folder(path, overwrite)
     elif kind == "parquet":
-        from logs.sinks.parquet import check_table as check_output
+        from logs.sinks.parquet import check_table
+
+        check_table(path, overwrite)
     else:
-        from logs.sinks.output import check_new as check_output
-    check_output(path, overwrite)
+        check_new(path, overwrite)
 
 
 def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
@@ -72,25 +77,10 @@ def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = F
         InputError: an unknown kind, or an output that exists or cannot be made.
     """
     kind, path = kind_and_path(spec)
-    if kind == "mcap":
-        from logs.sinks.mcap_tracks import McapTrackSink
-
-        return McapTrackSink(path, with_images=with_images, labels=labels, overwrite=overwrite)
-    if kind == "parquet":
-        from logs.sinks.parquet import ParquetTrackSink
-
-        return ParquetTrackSink(path, overwrite=overwrite)
-    if kind == "csv":
-        from logs.sinks.csv import CsvTrackSink
-
-        return CsvTrackSink(path, overwrite=overwrite)
-    if kind == "plvins":
-        from logs.sinks.plvins import PlVinsTrackSink
-
-        return PlVinsTrackSink(path, overwrite=overwrite)
-    from logs.sinks.limap import LimapTrackSink
-
-    return LimapTrackSink(path, overwrite=overwrite)
+    _, module, sink = KINDS[kind]
+    options = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
+    opened: Sink = getattr(import_module(module), sink)(path, overwrite=overwrite, **options)
+    return opened
 
 
 def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:

@@ -18,7 +18,7 @@ from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.read import read_journal
 from logs.sinks.output import OutputFile, check_new, errors_of, whole_file
-from logs.tracks.json import camera_fields
+from logs.tracks.json import Camera
 from logs.tracks.table import SCHEMA, TableNotes, to_batch
 
 _ROWS_WAITING = 50_000  # at most, 10 MB
@@ -56,7 +56,7 @@ class ParquetTrackSink:
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
         tracks = result.tracks
-        if tracks.camera is not self._camera and camera_fields(tracks.camera) != camera_fields(self._camera):
+        if tracks.camera is not self._camera and Camera.of(tracks.camera) != Camera.of(self._camera):
             self._notes.cameras[self._place] = tracks.camera
         self._camera = tracks.camera
         if not len(tracks):

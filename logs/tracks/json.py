@@ -49,23 +49,18 @@ class Camera(msgspec.Struct):
     distortion: Literal["none", "radial-tangential", "equidistant"]
     coefficients: list[float]
 
+    @classmethod
+    def of(cls, camera: CameraModel | None) -> Camera | None:
+        """What files hold of a camera."""
+        if camera is None:
+            return None
+        fx, fy, cx, cy, *coefficients = map(float, (camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients))
+        return cls(int(camera.width), int(camera.height), fx, fy, cx, cy, camera.distortion, coefficients)
+
     def model(self) -> CameraModel:
         """The camera; raises ConfigError where the numbers make none."""
         fields = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion)
         return CameraModel(*fields, np.array(self.coefficients, np.float64))
-
-
-def camera_fields(camera: CameraModel | None) -> dict[str, Any] | None:
-    """What JSON holds of a camera."""
-    if camera is None:
-        return None
-    return {
-        "width": int(camera.width),
-        "height": int(camera.height),
-        **{name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
-        "distortion": camera.distortion,
-        "coefficients": [float(value) for value in camera.coefficients],
-    }
 
 
 def assembled(
@@ -105,8 +100,8 @@ def encode_tracks(tracks: LineTracks) -> bytes:
         array = fields[field.name] = np.ascontiguousarray(getattr(tracks, field.name))
         if field.shape == (-1,):
             fields[_length_of(field)] = array.shape[1]
-    fields |= {"camera": camera_fields(tracks.camera), "reset": tracks.reset}
-    return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
+    fields |= {"camera": Camera.of(tracks.camera), "reset": tracks.reset}
+    return orjson.dumps(fields, default=msgspec.to_builtins, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def decode_tracks(text: bytes | memoryview) -> LineTracks:
@@ -116,7 +111,7 @@ def decode_tracks(text: bytes | memoryview) -> LineTracks:
         InputError: text that is no such object, or whose arrays do not fit each other.
     """
     try:
-        found = _decoder.decode(text)
+        found: Any = _decoder.decode(text)
         arrays = {field.name: _array(field, found) for field in FIELDS if getattr(found, field.name) is not None}
         stamp_ns = found.timestamp.sec * SECOND_NS + found.timestamp.nsec
         if stamp_ns >= 2**63:
@@ -143,6 +138,8 @@ def _length_of(field: Field) -> str:
 
 def _members() -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Key, type and JSON schema of each array."""
+    kind: Any
+    items: dict[str, Any]
     for field in FIELDS:
         if field.dtype.kind == "f":
             kind, items = _Real, {"type": ["number", "null"]}
@@ -152,7 +149,7 @@ def _members() -> Iterator[tuple[str, Any, dict[str, Any]]]:
             limits = np.iinfo(field.dtype)
             kind, items = Annotated[int, Meta(ge=int(limits.min), le=int(limits.max))], {"type": "integer"}
         for size in reversed(field.shape):
-            kind = list[kind] if size < 0 else tuple[(kind,) * size]
+            kind = list[kind] if size < 0 else tuple[(kind,) * size]  # type: ignore[misc]
             items = {"type": "array", **({} if size < 0 else {"minItems": size, "maxItems": size}), "items": items}
         yield field.name, list[kind] | None, {"type": "array", "items": items, "description": field.text}
         if field.shape == (-1,):
@@ -170,8 +167,8 @@ class _Time(msgspec.Struct):
     nsec: Annotated[int, Meta(ge=0, lt=SECOND_NS)]
 
 
-_MEMBERS = [("timestamp", _Time), ("frame_index", Int), ("camera", Camera | None), ("reset", str | None)]
-_ARRAYS = [(name, kind) if kind is Size else (name, kind, None) for name, kind, _ in _members()]
+_MEMBERS: list[Any] = [("timestamp", _Time), ("frame_index", Int), ("camera", Camera | None), ("reset", str | None)]
+_ARRAYS: list[Any] = [(name, kind) if kind is Size else (name, kind, None) for name, kind, _ in _members()]
 _decoder = msgspec.json.Decoder(msgspec.defstruct("Tracks", [*_MEMBERS, *_ARRAYS], kw_only=True))
 
 _PIXELS = {"type": "integer", "description": "of the image, px"}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
 from frontend.tracks import FIELDS, NORMALIZED, Field, LineTracks
-from logs.tracks.json import CONVENTIONS, Camera, assembled, camera_fields, decode_tracks, encode_tracks
+from logs.tracks.json import CONVENTIONS, Camera, assembled, decode_tracks, encode_tracks
 
 # The order of the first version's columns; fields that came later follow.
 _ORDER = (
@@ -77,9 +77,12 @@ class TableNotes:
 
     def to_metadata(self) -> dict[str, bytes]:
         """As JSON texts."""
-        cameras = [{"from": place, "camera": camera_fields(camera)} for place, camera in self.cameras.items()]
+        cameras = [{"from": place, "camera": Camera.of(camera)} for place, camera in self.cameras.items()]
         empty = [{"place": place, "tracks": orjson.Fragment(encode_tracks(t))} for place, t in self.empty.items()]
-        return {"cameras": orjson.dumps(cameras), "frames without rows": orjson.dumps(empty)}
+        return {
+            "cameras": orjson.dumps(cameras, default=msgspec.to_builtins),
+            "frames without rows": orjson.dumps(empty),
+        }
 
     def add(self, metadata: Any) -> None:
         """Add what `to_metadata` of another gave; raises InputError for anything else."""

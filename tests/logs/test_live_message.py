@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from airline.errors import InputError
 from frontend.tracks import LineTracks
-from logs.live.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode_end, encode_frame
+from logs.live.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
 from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of, streams
 
 ENVELOPE = {"stream": 17, "sequence": 3, "name": "clip", "sent_ns": 2**62}
@@ -21,7 +21,7 @@ TRACKS = made_tracks(7, 8, np.array([3, 5, 2**40]), np.random.default_rng(0), lo
 
 
 def encoded(tracks: LineTracks = TRACKS) -> bytes:
-    return encode_frame(result_of(tracks), **ENVELOPE)
+    return encode(result_of(tracks), **ENVELOPE)
 
 
 def unpacked(**changes: Any) -> dict[str, Any]:
@@ -68,11 +68,11 @@ def test_normalized_segments_are_nan_without_a_camera() -> None:
 
 
 def test_the_end() -> None:
-    assert decode(encode_end(**ENVELOPE)) == LiveTracks(17, 3, "clip", 2**62)
+    assert decode(encode(None, **ENVELOPE)) == LiveTracks(17, 3, "clip", 2**62)
 
 
 def test_a_name_that_is_no_text_is_sent_readably() -> None:
-    assert decode(encode_end(**{**ENVELOPE, "name": "a\udcffb"})).name == "a?b"
+    assert decode(encode(None, **{**ENVELOPE, "name": "a\udcffb"})).name == "a?b"
 
 
 @given(st.binary(max_size=100) | st.builds(lambda n: encoded()[:n], st.integers(0, len(encoded()) - 1)))

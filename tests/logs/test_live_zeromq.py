@@ -23,7 +23,7 @@ from airline.errors import AirLineError, ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs import subscribe_tracks
 from logs.live.address import Address, parse_address
-from logs.live.message import encode_end, encode_frame
+from logs.live.message import encode
 from logs.live.zeromq import ZmqPublisher
 from logs.sinks.open import open_publisher
 from tests.helpers.made_tracks import CAMERA, assert_all_same, clip_results, made_tracks, result_of
@@ -171,8 +171,8 @@ def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytes
     (tracks,) = frames(1)
     with subscribe_tracks(address) as subscription:
         for number in (4, 5, 8, 9):
-            send(encode_frame(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0))
-        send(encode_end(stream=1, sequence=11, name="", sent_ns=0))
+            send(encode(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0))
+        send(encode(None, stream=1, sequence=11, name="", sent_ns=0))
         assert len(list(subscription)) == 4
         assert subscription.lost == 3
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
@@ -181,7 +181,7 @@ def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytes
 def test_what_is_no_message_is_an_error_and_the_next_one_can_be_read(sender: tuple[Callable[..., None], str]) -> None:
     send, address = sender
     (tracks,) = frames(1)
-    good = encode_frame(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0)
+    good = encode(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0)
     with subscribe_tracks(address) as subscription:
         for parts, complaint in (([b"noise"], "not a valid message"), ([b"lines", good], "several parts")):
             send(*parts)
@@ -196,7 +196,7 @@ def test_a_publisher_that_begins_anew_is_noticed(sender: tuple[Callable[..., Non
     send, address = sender
     with subscribe_tracks(address) as subscription:
         for stream, number in ((1, 5), (2, 0), (2, 1), (2, 1)):
-            send(encode_frame(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
+            send(encode(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
         next(iter(subscription))
         with pytest.raises(InputError, match="began anew"):
             next(iter(subscription))

@@ -176,7 +176,7 @@ def column(name, values):
         (lambda table, notes: (table.slice(1), notes), "first of a frame"),
         (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
         (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
-        (column("lost_ids", lambda values: [v and [*v, 7] if v is None else [*v, 7] for v in values]), "different lengths"),
+        (column("lost_ids", lambda values: [v if v is None else [*v, 7] for v in values]), "different lengths"),
         (column("lost_ids", lambda values: [v if v is None else [None] for v in values]), "missing"),
         (column("state", lambda values: [9] * len(values)), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),

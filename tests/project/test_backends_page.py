@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from logs.live.message import ARRAYS, encode_frame
+from logs.live.message import ARRAYS, encode
 from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import clip_results
@@ -74,6 +74,6 @@ def test_the_tables_are_those_of_the_protocol() -> None:
     rows = re.findall(r"^\| `(\w+)` \| `(\S+)` \| ([^|]+) \|", PAGE, re.MULTILINE)
     documented = {name: (dtype.replace("\\", ""), shape.count(",")) for name, dtype, shape in rows}
     assert documented == {name: (dtype, len(row)) for name, (dtype, row) in ARRAYS.items()}
-    message = msgspec.msgpack.decode(encode_frame(clip_results()[0], stream=0, sequence=0, name="", sent_ns=0))
+    message = msgspec.msgpack.decode(encode(clip_results()[0], stream=0, sequence=0, name="", sent_ns=0))
     fields = re.findall(r"^\| `(\w+)` \| (?:int|str|map|\[int)", PAGE, re.MULTILINE)
     assert sorted(fields) == sorted(message)
