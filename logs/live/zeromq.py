@@ -116,7 +116,7 @@ def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSu
 
     Raises:
         ConfigError: no such address.
-        InputError: it cannot be used; while iterating, see `TrackSubscription`.
+        InputError: it cannot be used; more in `TrackSubscription`.
     """
     return TrackSubscription(address, timeout_s)
 
@@ -177,13 +177,11 @@ class TrackSubscription:
     def _receive(self) -> LiveTracks:
         if not self._socket.poll(None if self._timeout_s is None else round(1e3 * self._timeout_s)):
             raise InputError(f"nothing came from {self._address} for {self._timeout_s:g} s: is anybody publishing?")
-        data = self._socket.recv()
-        if self._socket.getsockopt(zmq.RCVMORE):
-            while self._socket.getsockopt(zmq.RCVMORE):
-                self._socket.recv()
+        parts = self._socket.recv_multipart()
+        if len(parts) > 1:
             raise InputError(f"{self._address} sends messages of several parts: it is no stream of lines")
         try:
-            return decode(data)
+            return decode(parts[0])
         except InputError as error:
             raise InputError(f"{self._address}: {error}") from error
 
