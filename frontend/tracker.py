@@ -12,12 +12,10 @@ from airline.lines import LineSet
 from frontend.frame import Frame
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.assignment import assign
-from frontend.tracking.borders import clip
 from frontend.tracking.config import TrackerConfig
-from frontend.tracking.fragments import absorbed, parents
-from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances, with_bias
+from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances, with_bias
 from frontend.tracking.motion import Prediction, WorkingImage, predict_segments, working_image
-from frontend.tracking.overlap import LineFeatures, overlap_votes
+from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
@@ -73,7 +71,8 @@ class LineTracker:
         else:  # an image without lines says nothing: the tracks wait where they were
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
-        return self._result(frame, lines, tracks, line_of, _gone(earlier.ids, tracks.ids), reset)
+        ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
+        return self._result(frame, lines, tracks, line_of, ended, reset)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:
@@ -106,7 +105,7 @@ class LineTracker:
         bands = np.minimum(config.band + config.lost_band * slack, config.max_band).astype(np.float32)
         current = tracks.missed == 0
         votes = overlap_votes(
-            tracks.looks,
+            tracks.features,
             seen,
             bands,
             tracks.seen_parts,
@@ -224,12 +223,6 @@ def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines:
         return None
     share = (pairs[visible] >= 0).mean()
     return f"scene cut: {100 * share:.0f} % of the tracks go on" if share <= CUT_TRACKS else None
-
-
-def _gone(earlier: NDArray[np.int64], now: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those of the ids, in ascending order, that are not among the later ones, also ascending."""
-    place = np.searchsorted(now, earlier)
-    return np.asarray(earlier[np.append(now, -1)[place] != earlier])
 
 
 def _along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:

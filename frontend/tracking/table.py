@@ -52,7 +52,7 @@ class TrackTable:
         return np.asarray(start + self.parts[:, :, None] * (end - start))
 
     @property
-    def looks(self) -> LineFeatures:
+    def features(self) -> LineFeatures:
         """The tracks as candidates for a pair."""
         return LineFeatures(self.segments, self.descriptors, self.profiles)
 

@@ -14,11 +14,9 @@ from hypothesis.extra.numpy import arrays
 from airline.stages.split_regions import fit_regions, residual
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
-from frontend.tracking.borders import clip
-from frontend.tracking.fragments import absorbed, parents
-from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances
+from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances
 from frontend.tracking.motion import predict_segments, warp, working_image
-from frontend.tracking.overlap import LineFeatures, overlap_votes
+from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
 from tests.helpers.tracking_frames import frame, line_set, texture
 
 LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)

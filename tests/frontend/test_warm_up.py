@@ -17,7 +17,7 @@ import numpy as np
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.warm_up import _is_cold
-from frontend.tracking import appearance, assignment, borders, fragments, fusion, overlap
+from frontend.tracking import appearance, assignment, fusion, overlap
 from airline import AirLine, LineSet, fit, reach, refine, score
 from airline.config import DetectorConfig, EdgeConfig
 settings = DetectorConfig(edges=EdgeConfig(detector="canny"))
@@ -29,7 +29,7 @@ image = rng.integers(0, 256, (200, 200), np.uint8)
 tracker = LineTracker()
 for index in range(3):
     tracker.update(Frame(index, index, image), lines)
-kernels = [kernel for module in (appearance, assignment, borders, fragments, fusion, overlap)
+kernels = [kernel for module in (appearance, assignment, fusion, overlap)
            for kernel in vars(module).values() if hasattr(kernel, "stats")]
 AirLine(config=settings)(image)
 kernels += [fit._choose, fit._vote, reach.reach, score.score, refine._refine, refine.blocks_of]
