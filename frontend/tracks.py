@@ -153,11 +153,10 @@ def _declared() -> tuple[Field, ...]:
 
 
 FIELDS = _declared()
-NORMALIZED = Field(  # follows from the others: where the camera is known
-    "fused line undistorted, on the plane z = 1; NaN without a camera and where its lens model ends",
-    "1",
-    (2, 2),
-    "u0 v0 u1 v1",
+NORMALIZED = Field(  # follows from the others where the camera is known
+    "the fused line undistorted, on the plane z = 1; NaN without a camera and where its lens model ends",
+    shape=(2, 2),
+    columns="u0 v0 u1 v1",
     name="segments_normalized",
     dtype=np.dtype(np.float32),
 )
