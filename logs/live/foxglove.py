@@ -22,16 +22,7 @@ class FoxgloveServer:
     The topics and schemas are those of `McapTrackSink`, images included, but that the calibration comes with every
     frame: a viewer may come at any time. What no viewer looks at is not made. Nothing ever waits for a viewer.
 
-    Args:
-        address: of scheme "ws".
-        name: of the input.
-        labels: write the id beside each confirmed line.
-
-    Attributes:
-        address: where it can be reached, with the port that was found.
-
-    Raises:
-        InputError: the address is taken, or cannot be had.
+    Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
 
     def __init__(self, address: Address, name: str, *, labels: bool = False) -> None:

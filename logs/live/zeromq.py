@@ -35,15 +35,7 @@ class ZmqPublisher:
     `CONNECT_S` after the binding, so that consumers that are there already have connected and get it. The messages are
     described in `logs.live.message`, and the last one says that it is.
 
-    Args:
-        address: of scheme "tcp" or "ipc".
-        name: of the input.
-
-    Attributes:
-        address: where it can be reached, with the port that was found.
-
-    Raises:
-        InputError: the address is taken, or cannot be had.
+    Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
 
     def __init__(self, address: Address, name: str) -> None:
@@ -60,11 +52,10 @@ class ZmqPublisher:
             if address.scheme == "ipc":
                 _check_file(address)
             self._socket.bind(str(address))
-        except zmq.ZMQError as error:
+        except BaseException as error:
             self._context.destroy(0)
-            raise cannot_publish(address, zmq.strerror(error.errno or 0)) from None
-        except BaseException:
-            self._context.destroy(0)
+            if isinstance(error, zmq.ZMQError):
+                raise cannot_publish(address, zmq.strerror(error.errno or 0)) from None
             raise
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self._first_s = time.monotonic() + CONNECT_S

@@ -25,12 +25,7 @@ class CsvTrackSink:
     frame. Numbers have the shortest text that reads back as the same float32; an empty field means that there is none.
     Whole lines are written, at least every second.
 
-    Args:
-        path: the file.
-        overwrite: replace an existing file.
-
-    Raises:
-        InputError: the file exists or cannot be written.
+    Arguments and errors are those of `OutputFile`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

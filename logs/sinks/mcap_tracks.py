@@ -169,15 +169,10 @@ class McapTrackSink:
     each other. The file's metadata record "airline-frontend" states the conventions.
 
     Args:
-        path: the file.
+        path, overwrite: see `OutputFile`.
         with_images: write the images too.
         labels: write the id beside each confirmed line.
-        overwrite: replace an existing file.
-        jpeg_quality: 1 to 100.
-
-    Raises:
-        InputError: the file exists or cannot be written.
-        ConfigError: no such JPEG quality.
+        jpeg_quality: 1 to 100, else a ConfigError.
     """
 
     def __init__(

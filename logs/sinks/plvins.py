@@ -73,13 +73,7 @@ class PlVinsTrackSink:
     order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration above the rate of the
     frames.
 
-    Args:
-        path: the file.
-        overwrite: replace an existing file.
-
-    Raises:
-        InputError: the file exists or cannot be written.
-        ConfigError: a frame without a camera.
+    Arguments and errors are those of `OutputFile`; a frame without a camera is a ConfigError.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
