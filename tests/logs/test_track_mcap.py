@@ -8,18 +8,19 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import orjson
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from airline.errors import InputError
 from frontend.colours import track_colours
 from logs.read import read_tracks
 from logs.sinks.mcap_tracks import McapTrackSink
+from logs.sinks.output import McapOutput
 from logs.tracks.json import encode_tracks
 from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, result_of
+
+MADE = made_tracks(0, 0, np.arange(3), np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -178,21 +179,15 @@ def test_times_before_the_epoch_are_refused(tmp_path):
         ({"timestamp": {"sec": 0, "nsec": 10**9}}, "nsec"),
         ({"timestamp": {"sec": 9223372036, "nsec": 999999999}}, "out of range"),
         ({"camera": {"width": 1}}, "camera"),
-        ({"camera": {**json.loads(encode_tracks(clip_results()[0].tracks))["camera"], "fx": -1.0}}, "focal"),
+        ({"camera": {**json.loads(encode_tracks(MADE))["camera"], "fx": -1.0}}, "focal"),
         ({"reset": 3}, "reset"),
     ],
 )
 def test_messages_of_others_are_refused_in_one_sentence(tmp_path, change, complaint):
-    fields = json.loads(encode_tracks(made_tracks(0, 0, np.arange(3), np.random.default_rng(0))))
-    path = tmp_path / "t.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel(
-            "/t", "json", writer.register_schema("frontend.LineTracks", "jsonschema", b"")
-        )
-        writer.add_message(channel, 5, orjson.dumps({**fields, **change}), 5)
-        writer.finish()
+    output = McapOutput(path := tmp_path / "t.mcap", False, {})
+    channel = output.channel("/t", "json", "frontend.LineTracks", "jsonschema", b"")
+    output.write(channel, 5, json.dumps({**json.loads(encode_tracks(MADE)), **change}).encode())
+    output.close()
     with pytest.raises(InputError, match=complaint) as error:
         list(read_tracks(path))
     assert "\n" not in str(error.value)
