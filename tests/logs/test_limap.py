@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import cv2
@@ -44,10 +45,9 @@ def read_neighbours(folder):
 
 
 def write(folder, stream, **options):
-    sink = LimapTrackSink(folder, **options)
-    for tracks in stream:
-        sink.write(result_of(tracks))
-    sink.close()
+    with closing(LimapTrackSink(folder, **options)) as sink:
+        for tracks in stream:
+            sink.write(result_of(tracks))
     return folder
 
 
