@@ -268,3 +268,13 @@ def test_closing_that_was_interrupted_can_be_done_again() -> None:
     code += "publisher.close(); publisher.close(); print('closed')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "closed\n"
+
+
+@pytest.mark.parametrize(("module", "scheme", "extra"), [("zmq", "tcp", "zeromq"), ("foxglove", "ws", "foxglove")])
+def test_without_the_extra_one_sentence_names_it(
+    module: str, scheme: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, f"logs.live.{extra}", raising=False)
+    with pytest.raises(ConfigError, match=rf"{module} is not installed: pip install 'airline-frontend\[{extra}\]'"):
+        open_publisher(f"{scheme}://127.0.0.1:0", "clip")
