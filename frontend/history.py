@@ -59,9 +59,9 @@ class Observations:
 class TrackHistory:
     """The latest observations of the latest tracks, for backends that want tracks rather than frames.
 
-    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes each. A track that has more than
-    `max_frames` loses its oldest. When there are more than `max_tracks` tracks, whole tracks are dropped: those that
-    ended first, and then those not seen for longest. A dropped track that is seen again starts anew under its id.
+    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes. A track of more than `max_frames`
+    loses its oldest. Of more than `max_tracks` tracks those that ended first are dropped, then those not seen for
+    longest; one that is seen again starts anew under its id.
 
     Args:
         max_frames: observations kept of each track.

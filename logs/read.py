@@ -50,9 +50,7 @@ def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
 def read_journal(path: Path, notes: TableNotes) -> Iterator[pa.RecordBatch]:
     """The batches of a `ParquetTrackSink`'s journal, up to where it was cut; if within a batch, with one warning.
 
-    Args:
-        path: the journal; it may still be growing.
-        notes: gathers the notes on a batch's frames before the batch is given out.
+    It may still be growing. `notes` gathers the notes on a batch's frames before the batch is given out.
 
     Raises:
         InputError: a file that is no journal of ours.

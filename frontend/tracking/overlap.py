@@ -66,18 +66,9 @@ def overlap_votes(
     Returns:
         (N, M) float32 in [0, 1].
     """
+    each = [(one.segments, one.descriptors, one.profiles) for one in (tracks, lines)]
     votes: NDArray[np.float32] = _votes(
-        tracks.segments,
-        tracks.descriptors,
-        tracks.profiles,
-        lines.segments,
-        lines.descriptors,
-        lines.profiles,
-        bands,
-        parts,
-        min_appearance,
-        np.cos(max_angle),
-        min_agreement,
+        *each[0], *each[1], bands, parts, min_appearance, np.cos(max_angle), min_agreement
     )
     return votes
 
@@ -111,7 +102,7 @@ def beside(track, line):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _votes(  # type: ignore[no-untyped-def]
+def _votes(  # type: ignore[no-untyped-def]  # shapes and dtypes as in `LineFeatures` and `overlap_votes`
     tracks,
     descriptors,
     profiles,

@@ -1,7 +1,6 @@
 """What is sent for every frame: one MessagePack map, `frontend.LineTracks` with all its fields, and back, exactly.
 
-docs/backends.md describes it field by field, for programs in other languages. Within a version fields are only added,
-and receivers pass over those that they do not know; any other change makes a new version, which they refuse.
+docs/backends.md describes it for programs in other languages. Within a version fields are only added.
 """
 
 from __future__ import annotations

@@ -30,10 +30,9 @@ _LARGEST_REQUEST = 1 << 16  # bytes; consumers send nothing but subscriptions
 class ZmqPublisher:
     """Sends each frame's tracks to whoever is connected; a `Sink`.
 
-    It binds at once, a PUB socket, and never waits for a consumer: one that is slow loses messages, which the numbers
-    of the others show, and one that comes late gets what is sent from then on. Only the first frame may wait, until
-    `CONNECT_S` after the binding, so that consumers that are there already have connected and get it. The messages are
-    described in `logs.live.message`, and the last one says that it is.
+    A PUB socket that never waits for a consumer: one that is slow loses messages, which their numbers show, and one
+    that comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, so
+    that consumers that are there already have connected. The last message says that it is.
 
     Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
@@ -113,11 +112,10 @@ def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSu
 
 
 class TrackSubscription:
-    """Iterates over the frames of a stream, as the same `frontend.LineTracks` that were sent.
+    """Iterates over the frames of a stream, as the same `frontend.LineTracks` that were sent, until it ends.
 
-    Iteration ends, and closes it, when the publisher says that it is done. While iterating it raises InputError when
-    nothing comes for too long, for a message that is none or of another version of the protocol, and when the publisher
-    begins anew, because then track ids do, too. One may iterate again after each of them.
+    Raises InputError when nothing comes for too long, for what is no message of this version of the protocol, and when
+    the publisher begins anew, because then track ids do, too. One may iterate again after each of them.
 
     Attributes:
         lost: messages sent since the first that came, but never received: the reader or the network was too slow.

@@ -56,12 +56,11 @@ class LimapTrackSink:
 
     Args:
         folder: made if it does not exist.
-        neighbours: of each image, half of them before and half after it; LIMAP's `n_neighbors`.
+        neighbours: of each image, an even number, half before and half after it; LIMAP's `n_neighbors`.
         overwrite: write into a folder that holds files; those of an earlier run are removed.
 
     Raises:
         InputError: the folder holds files, or cannot be written; a camera that changes.
-        ConfigError: an odd or negative number of neighbours.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:

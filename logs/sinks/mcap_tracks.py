@@ -83,14 +83,7 @@ TOPICS = {
 
 
 def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: int = JPEG_QUALITY) -> bytes | None:
-    """What a frame says on one of the `TOPICS`; None for the calibration of a camera that is not known.
-
-    Args:
-        topic: its name.
-        result: of the frame.
-        labels: write the id beside each confirmed line.
-        jpeg_quality: 1 to 100.
-    """
+    """What a frame says on one of the `TOPICS`; None for the calibration of a camera that is not known."""
     tracks = result.tracks
     if topic == TRACKS_TOPIC:
         return encode_tracks(tracks)

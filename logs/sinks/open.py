@@ -69,12 +69,8 @@ def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = F
 
     Args:
         spec: see `kind_and_path`.
-        overwrite: replace what is there.
-        with_images: write the images too, where the format can hold them (MCAP for Foxglove).
-        labels: write ids beside the lines, where the format can show them (MCAP for Foxglove).
-
-    Raises:
-        InputError: an unknown kind, or an output that exists or cannot be made.
+        overwrite: replace what is there, which is an InputError otherwise.
+        with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
     """
     kind, path = kind_and_path(spec)
     _, module, sink = KINDS[kind]
@@ -92,7 +88,7 @@ def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPubli
         labels: write ids beside the lines, where a viewer is served.
 
     Raises:
-        ConfigError: a text that is no address; the extra that serves it is not installed.
+        ConfigError: no address, or the extra that serves it is not installed.
         InputError: the address is taken, or cannot be had.
     """
     parsed = parse_address(address)

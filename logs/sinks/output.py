@@ -37,15 +37,7 @@ def check_new(path: Path, overwrite: bool) -> None:
 
 @contextmanager
 def whole_file(path: Path, part: Path | None = None) -> Iterator[BinaryIO]:
-    """A file that appears, or replaces another, when the block ends without an error.
-
-    Args:
-        path: the file.
-        part: what it is called until then; by default hidden beside it.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """A file that appears, or replaces another, when the block ends well; until then it is `part`, hidden beside it."""
     part = part or path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with part.open("wb") as file:
@@ -58,12 +50,8 @@ def whole_file(path: Path, part: Path | None = None) -> Iterator[BinaryIO]:
 class OutputFile:
     """A new file that is written to until the first error, which closes it: what stands before a gap stays readable.
 
-    Args:
-        path: the file.
-        overwrite: replace an existing file.
-
     Raises:
-        InputError: the file exists or cannot be written.
+        InputError: the file exists and `overwrite` is not set, or it cannot be written.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -106,7 +94,6 @@ class OutputFile:
             self.is_open = False
 
     def _check_place(self) -> None:
-        """Refuse to go on with a file that nobody could find; raises InputError."""
         self._checked = time.monotonic()
         try:
             is_there = os.path.samestat(self.path.stat(), os.fstat(self.file.fileno()))
@@ -122,8 +109,7 @@ class McapOutput(OutputFile):
     """An MCAP file whose chunks are closed by the clock: all but the last second can be read, whatever happens.
 
     Args:
-        path: the file.
-        overwrite: replace an existing file.
+        path, overwrite: see `OutputFile`.
         metadata: the record "airline-frontend"; written first, so that a cut file has it too.
         profile: MCAP's name for the kind of system the messages are from, such as "ros1".
     """

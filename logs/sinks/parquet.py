@@ -28,16 +28,9 @@ _GROUP_ROWS = 100_000  # 20 MB
 class ParquetTrackSink:
     """Writes each frame's tracks into a Parquet file, one row per observation; a `Sink`.
 
-    The columns, their units and the conventions are in the file's own metadata. While it runs, rows go into the journal
-    `NAME.parquet.unfinished`, at least every second; `close` makes the Parquet file of it. After a crash
-    `finish_journal` does, and `logs.read_tracks` reads the journal as it is.
-
-    Args:
-        path: the file.
-        overwrite: replace an existing file, and the journal of a run that never ended.
-
-    Raises:
-        InputError: the file exists or cannot be written; what was written until then stays in the journal.
+    The file's own metadata explain its columns. While it runs, rows go into the journal `NAME.parquet.unfinished`, at
+    least every second; `close` makes the Parquet file of it. After a crash `finish_journal` does, and
+    `logs.read_tracks` reads the journal as it is. Arguments and errors are those of `OutputFile`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -121,7 +114,7 @@ def finish_journal(path: Path, out: Path, overwrite: bool = False) -> int:
         How many rows the file has.
 
     Raises:
-        InputError: a file that is no journal, or an output that exists or cannot be written; the journal stays.
+        InputError: no journal, or an output that exists or cannot be written; the journal stays.
     """
     check_new(out, overwrite)
     notes, rows = TableNotes(), 0

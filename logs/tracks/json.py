@@ -66,11 +66,7 @@ class Camera(msgspec.Struct):
 def assembled(
     frame_index: int, stamp_ns: int, arrays: Mapping[str, NDArray[Any]], camera: CameraModel | None, reset: str | None
 ) -> LineTracks:
-    """The tracks of these parts.
-
-    Args:
-        frame_index, stamp_ns, camera, reset: as they are in `LineTracks`.
-        arrays: by field, of its dtype and with rows of its shape; fields that came later may be missing.
+    """The tracks of these parts; arrays have the dtype and rows of their fields, and later fields may be missing.
 
     Raises:
         ValueError: an array is missing, or they do not fit each other.
