@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import zmq
 
-from airline.errors import AirLineError, ConfigError, InputError
+from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs import subscribe_tracks
 from logs.live.address import Address, parse_address
@@ -233,11 +233,10 @@ def test_foxglove_is_not_for_subscribers() -> None:
         subscribe_tracks("ws://127.0.0.1:8765")
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "ipc", "ws"])
-def test_a_taken_address_is_refused(scheme: str, tmp_path: Path) -> None:
-    address = f"ipc://{tmp_path}/lines" if scheme == "ipc" else f"{scheme}://127.0.0.1:0"
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:0", "ws://127.0.0.1:0", "ipc://{folder}/lines"])
+def test_a_taken_address_is_refused(address: str, tmp_path: Path) -> None:
     refused = pytest.raises(InputError, match=r"cannot publish at .* use\): choose another")
-    with closing(open_publisher(address, "first")) as first, refused:
+    with closing(open_publisher(address.format(folder=tmp_path), "first")) as first, refused:
         open_publisher(first.address, "second")
 
 
@@ -245,7 +244,7 @@ def test_a_taken_address_is_refused(scheme: str, tmp_path: Path) -> None:
     "text", ["tcp://192.0.2.1:5555", "ws://192.0.2.1:5555", "ipc:///no/such/folder/lines", "ipc://" + "x" * 200]
 )
 def test_an_address_of_others_is_refused(text: str) -> None:
-    with pytest.raises(AirLineError, match="cannot publish at"):
+    with pytest.raises(InputError, match="cannot publish at"):
         open_publisher(text, "")
 
 
