@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +13,16 @@ from numpy.typing import NDArray
 from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 
-# One observation. `normalized` is NaN without a camera.
+# One observation, under the names of `Observations`; normalized is NaN without a camera.
 _ROW = np.dtype(
     [
-        ("frame_index", np.int64),
-        ("stamp_ns", np.int64),
-        ("segment_px", np.float32, (2, 2)),
+        ("frame_indices", np.int64),
+        ("stamps_ns", np.int64),
+        ("segments_px", np.float32, (2, 2)),
         ("observed_px", np.float32, (2, 2)),
-        ("normalized", np.float32, (2, 2)),
+        ("segments_normalized", np.float32, (2, 2)),
+        ("scores", np.float32),
         ("has_camera", np.bool_),
-        ("score", np.float32),
     ]
 )
 
@@ -58,9 +59,9 @@ class Observations:
 class TrackHistory:
     """The latest observations of the latest tracks, for backends that want tracks rather than frames.
 
-    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes each. A track that has more than
-    `max_frames` loses its oldest. When there are more than `max_tracks` tracks, whole tracks are dropped: those that
-    ended first, and then those not seen for longest. A dropped track that is seen again starts anew under its id.
+    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes. A track of more than `max_frames`
+    loses its oldest. Of more than `max_tracks` tracks those that ended first are dropped, then those not seen for
+    longest; one that is seen again starts anew under its id.
 
     Args:
         max_frames: observations kept of each track.
@@ -138,23 +139,17 @@ class TrackHistory:
 def _rows(tracks: LineTracks) -> list[np.void]:
     """One record per track, each with memory of its own, so that it does not hold on to the frame's arrays."""
     table = np.zeros(len(tracks), _ROW)
-    table["frame_index"], table["stamp_ns"] = tracks.frame_index, tracks.stamp_ns
-    table["segment_px"], table["observed_px"] = tracks.segments_px, tracks.observed_px
+    table["frame_indices"], table["stamps_ns"], table["scores"] = tracks.frame_index, tracks.stamp_ns, tracks.scores
+    table["segments_px"], table["observed_px"] = tracks.segments_px, tracks.observed_px
     normalized = tracks.segments_normalized
-    table["normalized"] = np.nan if normalized is None else normalized
-    table["has_camera"], table["score"] = normalized is not None, tracks.scores
+    table["has_camera"] = normalized is not None
+    table["segments_normalized"] = np.nan if normalized is None else normalized
     return [row.copy() for row in table]
 
 
 def _observations(track_id: int, rows: deque[np.void], ended: bool) -> Observations:
     table = np.array(rows, _ROW)
-    return Observations(
-        track_id,
-        table["frame_index"].copy(),
-        table["stamp_ns"].copy(),
-        table["segment_px"].copy(),
-        table["observed_px"].copy(),
-        table["normalized"].copy() if table["has_camera"].all() else None,
-        table["score"].copy(),
-        ended,
-    )
+    columns: dict[str, Any] = {name: table[name].copy() for name in _ROW.names or ()}
+    if not columns.pop("has_camera").all():
+        columns["segments_normalized"] = None
+    return Observations(track_id, ended=ended, **columns)

@@ -12,12 +12,10 @@ from airline.lines import LineSet
 from frontend.frame import Frame
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.assignment import assign
-from frontend.tracking.borders import clip
 from frontend.tracking.config import TrackerConfig
-from frontend.tracking.fragments import absorbed, parents
-from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances, with_bias
-from frontend.tracking.motion import Prediction, WorkingImage, predict_segments, working_image
-from frontend.tracking.overlap import LineFeatures, overlap_votes
+from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances, with_bias
+from frontend.tracking.motion import WorkingImage, predict_segments, working_image
+from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
@@ -61,10 +59,9 @@ class LineTracker:
         tracks, pairs = earlier, np.full(len(earlier), -1, np.int32)
         reset = self._reset_reason(frame.stamp_ns, size)
         if reset is None and len(earlier) and len(lines):
-            prediction = self._predict(earlier, image)
-            tracks = self._moved(earlier, prediction, size)
+            tracks, trusted = self._predicted(earlier, image, size)
             pairs = self._pair(tracks, seen)
-            reset = _cut_reason(prediction.trusted, earlier.visible, pairs, len(lines))
+            reset = _cut_reason(trusted, earlier.visible, pairs, len(lines))
         if reset is not None:
             tracks, pairs = no_tracks(seen), np.zeros(0, np.int32)
         tracks, line_of = self._next(tracks, pairs, seen, lines.residuals, frame.index, size)
@@ -73,7 +70,8 @@ class LineTracker:
         else:  # an image without lines says nothing: the tracks wait where they were
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
-        return self._result(frame, lines, tracks, line_of, _gone(earlier.ids, tracks.ids), reset)
+        ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
+        return self._result(frame, lines, tracks, line_of, ended, reset)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:
@@ -87,17 +85,14 @@ class LineTracker:
             return f"gap of {gap:.3f} s"
         return None
 
-    def _predict(self, tracks: TrackTable, image: WorkingImage) -> Prediction:
+    def _predicted(self, tracks: TrackTable, image: WorkingImage, size: tuple[int, int]) -> tuple[TrackTable, float]:
+        """The tracks where they should be, of length 0 if they left the image; and the share of consistent flow."""
         before = image if self._image is None else self._image
-        prediction = predict_segments(before, image, tracks.segments, tracks.visible, self._motion)
-        self._motion = prediction.homography
-        return prediction
-
-    def _moved(self, tracks: TrackTable, prediction: Prediction, size: tuple[int, int]) -> TrackTable:
-        """The tracks at their predicted places; those that have left the image get the length 0."""
-        segments, _ = clip(prediction.segments, size)
-        covariances = predicted_covariances(tracks.covariances, tracks.segments, segments, prediction.followed)
-        return replace(tracks, segments=segments, covariances=covariances, visible=prediction.followed)
+        moved = predict_segments(before, image, tracks.segments, tracks.visible, self._motion)
+        self._motion = moved.homography
+        segments, _ = clip(moved.segments, size)
+        covariances = predicted_covariances(tracks.covariances, tracks.segments, segments, moved.followed)
+        return replace(tracks, segments=segments, covariances=covariances, visible=moved.followed), moved.trusted
 
     def _pair(self, tracks: TrackTable, seen: LineFeatures) -> Pairs:
         """The line of each track: first for those seen in the last frame, then for the others."""
@@ -106,7 +101,7 @@ class LineTracker:
         bands = np.minimum(config.band + config.lost_band * slack, config.max_band).astype(np.float32)
         current = tracks.missed == 0
         votes = overlap_votes(
-            tracks.looks,
+            tracks.features,
             seen,
             bands,
             tracks.seen_parts,
@@ -167,26 +162,26 @@ class LineTracker:
         ended_ids: NDArray[np.int64],
         reset: str | None,
     ) -> LineTracks:
-        here = line_of >= 0
         confirmed = tracks.hits >= self.config.confirm_hits
-        observed = lines.segments[line_of[here]]
-        backwards = _runs_backwards(tracks.segments[here], observed)
+        lost = (line_of < 0) & confirmed
+        here, rows = tracks.take(line_of >= 0), line_of[line_of >= 0]
+        observed = lines.segments[rows]
+        backwards = _runs_backwards(here.segments, observed)
         observed[backwards] = observed[backwards, ::-1]
-        lost = ~here & confirmed
         return LineTracks(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
-            ids=tracks.ids[here],
-            segments_px=tracks.segments[here],
+            ids=here.ids,
+            segments_px=here.segments,
             observed_px=observed,
-            covariances=with_bias(tracks.covariances[here]),
-            scores=lines.scores[line_of[here]],
-            descriptors=tracks.descriptors[here],
-            states=np.where(confirmed[here], TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
-            ages=(frame.index - tracks.born[here]).astype(np.int32),
-            hits=tracks.hits[here],
-            line_indices=line_of[here],
-            fragment_of=tracks.fragment_of[here],
+            covariances=with_bias(here.covariances),
+            scores=lines.scores[rows],
+            descriptors=here.descriptors,
+            states=np.where(confirmed[line_of >= 0], TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
+            ages=(frame.index - here.born).astype(np.int32),
+            hits=here.hits,
+            line_indices=rows,
+            fragment_of=here.fragment_of,
             lost_ids=tracks.ids[lost],
             lost_segments_px=tracks.segments[lost],
             ended_ids=ended_ids,
@@ -224,12 +219,6 @@ def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines:
         return None
     share = (pairs[visible] >= 0).mean()
     return f"scene cut: {100 * share:.0f} % of the tracks go on" if share <= CUT_TRACKS else None
-
-
-def _gone(earlier: NDArray[np.int64], now: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those of the ids, in ascending order, that are not among the later ones, also ascending."""
-    place = np.searchsorted(now, earlier)
-    return np.asarray(earlier[np.append(now, -1)[place] != earlier])
 
 
 def _along(segments: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from logs.live.subscribe import subscribe_tracks
+    from logs.live.zeromq import subscribe_tracks
     from logs.read import read_tracks
     from logs.sinks.mcap_tracks import McapTrackSink
     from logs.sinks.parquet import ParquetTrackSink
@@ -31,7 +31,7 @@ _MODULES = {
     "McapTrackSink": "logs.sinks.mcap_tracks",
     "ParquetTrackSink": "logs.sinks.parquet",
     "read_tracks": "logs.read",
-    "subscribe_tracks": "logs.live.subscribe",
+    "subscribe_tracks": "logs.live.zeromq",
 }
 
 

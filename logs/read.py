@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from airline.errors import InputError
 from frontend.tracks import LineTracks
-from logs.tracks.schema import SCHEMA_NAME
+from logs.tracks.json import SCHEMA_NAME, decode_tracks
+from logs.tracks.table import TableNotes, needed_columns, read_frames
 
+log = logging.getLogger(__name__)
+
+_DAMAGE = (pa.ArrowException, OSError, MemoryError, ValueError)  # what pyarrow raises for damaged files
 _GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 20 MB
 _BATCH_ROWS = 16_384
 
@@ -38,12 +47,37 @@ def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
     raise InputError(f"cannot read tracks from '{path}': it is no MCAP or Parquet file with tracks, and no journal")
 
 
+def read_journal(path: Path, notes: TableNotes) -> Iterator[pa.RecordBatch]:
+    """The batches of a `ParquetTrackSink`'s journal, up to where it was cut; if within a batch, with one warning.
+
+    It may still be growing. `notes` gathers the notes on a batch's frames before the batch is given out.
+
+    Raises:
+        InputError: a file that is no journal of ours.
+    """
+    try:
+        with pa.memory_map(str(path)) as file:
+            stream = pa.ipc.open_stream(file)
+            needed_columns(stream.schema)
+            while True:
+                try:
+                    batch, metadata = stream.read_next_batch_with_custom_metadata()
+                    batch.validate(full=True)
+                except StopIteration:
+                    return
+                except _DAMAGE:
+                    log.warning("%s: the journal is cut or damaged; its readable part was used", path.name)
+                    return
+                notes.add(metadata)
+                yield batch
+    except _DAMAGE as error:
+        raise InputError(f"'{path}' is not a journal of tracks: {error}") from error
+
+
 def _read_mcap(path: Path) -> Iterator[LineTracks]:
     from logs.files.mcap_file import McapFile
-    from logs.tracks.json import decode_tracks
 
-    file = McapFile(path)
-    try:
+    with closing(McapFile(path)) as file:
         topics = [name for name, topic in file.topics.items() if topic.type.schema_name == SCHEMA_NAME]
         if len(topics) != 1:
             held = ", ".join(f"{name} ({topic.type})" for name, topic in file.topics.items()) or "no messages"
@@ -53,28 +87,20 @@ def _read_mcap(path: Path) -> Iterator[LineTracks]:
                 yield decode_tracks(message.data)
             except InputError as error:
                 raise InputError(f"'{path}': the message at {message.log_ns} ns is {error}") from error
-    finally:
-        file.close()
 
 
 def _read_parquet(path: Path) -> Iterator[LineTracks]:
-    import pyarrow.parquet as pq
-
-    from logs.tracks.journal import DAMAGE
-    from logs.tracks.rows import COLUMNS, check_columns, read_frames
-    from logs.tracks.table import TableNotes
-
     notes = TableNotes()
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            check_columns(file.schema_arrow)
+            columns = needed_columns(file.schema_arrow)
             groups = [file.metadata.row_group(k) for k in range(file.num_row_groups)]
             if any(group.total_byte_size > _GROUP_BYTES for group in groups):
                 raise InputError(f"a row group claims more than {_GROUP_BYTES} bytes")
             notes.add(file.metadata.metadata)
-            batches = file.iter_batches(_BATCH_ROWS, columns=COLUMNS) if groups else ()  # pyarrow 18 stumbles over none
+            batches = file.iter_batches(_BATCH_ROWS, columns=columns) if groups else ()  # pyarrow 18 stumbles over none
             yield from read_frames(batches, notes)
-    except DAMAGE as error:
+    except _DAMAGE as error:
         reason = " ".join(str(error).split())
         raise InputError(f"cannot read tracks from '{path}', it is no Parquet file or damaged: {reason}") from error
     except InputError as error:
@@ -82,10 +108,6 @@ def _read_parquet(path: Path) -> Iterator[LineTracks]:
 
 
 def _read_journal(path: Path) -> Iterator[LineTracks]:
-    from logs.tracks.journal import read_journal
-    from logs.tracks.rows import read_frames
-    from logs.tracks.table import TableNotes
-
     notes = TableNotes()
     try:
         yield from read_frames(read_journal(path, notes), notes)

@@ -183,11 +183,8 @@ def layout(names: tuple[str, str], size: tuple[int, int]) -> rrb.Blueprint:
 
 def _rows(tracks: LineTracks, rows: NDArray[np.int64]) -> LineTracks:
     """Some of the tracks. Fragments count as whole lines, as their darker tone would hide which line is which."""
-    names = ("ids", "segments_px", "observed_px", "covariances", "scores", "descriptors", "states", "ages", "hits")
     return replace(
-        tracks,
-        **{name: getattr(tracks, name)[rows] for name in names},
-        line_indices=tracks.line_indices[rows],
+        tracks.take(rows),
         fragment_of=np.full(len(rows), -1),
         lost_ids=tracks.lost_ids[:0],
         lost_segments_px=tracks.lost_segments_px[:0],

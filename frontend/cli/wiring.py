@@ -110,8 +110,8 @@ def read_tracks(path: Path) -> Iterator[LineTracks]:
 
 
 def open_publisher(address: str, name: str, *, labels: bool) -> ZmqPublisher | FoxgloveServer:
-    """A sink that sends tracked lines to other processes; see `logs.live.address`."""
-    from logs.live.address import open_publisher
+    """A sink that sends tracked lines to other processes; see `logs.sinks.open`."""
+    from logs.sinks.open import open_publisher
 
     return open_publisher(address, name, labels=labels)
 

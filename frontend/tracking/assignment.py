@@ -37,68 +37,32 @@ def assign(
 
 @njit()
 def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def]
+    """Group by group: what is reached from a row over pairs with enough votes."""
     n, m = votes.shape
     chosen = np.full(n, -1, np.int32)
-    pairs, starts = _pairs(votes, least, row_seen, column_seen)
-    column_starts = np.zeros(m + 1, np.int64)
-    for pair in range(len(pairs)):
-        column_starts[pairs[pair, 1] + 1] += 1
-    for j in range(m):
-        column_starts[j + 1] += column_starts[j]
-    following, by_column = column_starts.copy(), np.empty(len(pairs), np.int64)
-    for pair in range(len(pairs)):
-        by_column[following[pairs[pair, 1]]] = pair
-        following[pairs[pair, 1]] += 1
+    by_column = votes.T.copy()
     rows, columns = np.empty(n, np.int64), np.empty(m, np.int64)
     for first in range(n):
-        if row_seen[first] or starts[first] == starts[first + 1]:
+        if row_seen[first]:
             continue
-        # the group of `first`: rows and columns reachable over existing pairs
         rows[0], row_count, column_count, reached = first, 1, 0, 0
         row_seen[first] = True
         while reached < row_count:
             i = rows[reached]
             reached += 1
-            for pair in range(starts[i], starts[i + 1]):
-                j = pairs[pair, 1]
-                if column_seen[j]:
-                    continue
-                column_seen[j] = True
-                columns[column_count] = j
-                column_count += 1
-                for place in range(column_starts[j], column_starts[j + 1]):
-                    k = pairs[by_column[place], 0]
-                    if not row_seen[k]:
-                        row_seen[k] = True
-                        rows[row_count] = k
-                        row_count += 1
-        _solve(votes, least, rows[:row_count], columns[:column_count], chosen)
+            for j in range(m):
+                if votes[i, j] >= least and not column_seen[j]:
+                    column_seen[j] = True
+                    columns[column_count] = j
+                    column_count += 1
+                    for k in range(n):
+                        if by_column[j, k] >= least and not row_seen[k]:
+                            row_seen[k] = True
+                            rows[row_count] = k
+                            row_count += 1
+        if column_count:
+            _solve(votes, least, rows[:row_count], columns[:column_count], chosen)
     return chosen
-
-
-@njit()
-def _pairs(votes, least, skipped_rows, skipped_columns):  # type: ignore[no-untyped-def]
-    """(P, 2) rows and columns with enough votes, row by row, and where each row begins among them."""
-    n, m = votes.shape
-    columns = np.empty(m + 1, np.int64)
-    capacity = 0
-    for i in range(n):
-        for j in range(m):
-            capacity += votes[i, j] >= least
-    pairs, starts = np.empty((capacity, 2), np.int64), np.zeros(n + 1, np.int64)
-    count = 0
-    for i in range(n):
-        here = 0
-        if not skipped_rows[i]:
-            for j in range(m):  # without branches: nearly all are no
-                columns[here] = j
-                here += votes[i, j] >= least
-        for c in range(here):
-            if not skipped_columns[columns[c]]:
-                pairs[count, 0], pairs[count, 1] = i, columns[c]
-                count += 1
-        starts[i + 1] = count
-    return pairs[:count], starts
 
 
 @njit()

@@ -1,4 +1,4 @@
-"""How well predicted tracks and detected lines cover each other."""
+"""How lines lie beside each other: votes of tracks for detected lines, and which lines are pieces of one that broke."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from airline.kernels.compiled import njit
 
 AGAIN = 0.65  # weight of the part seen last against the whole track in what a line covers
+# A piece of a line that broke is
+MAX_DISTANCE = 1.0  # px from that line at most
+MIN_COS = np.cos(np.deg2rad(8.0))  # of the angle between both,
+MIN_INSIDE = 0.5  # of its length within the extent of the whole line, and
+MAX_TWICE = 0.3  # share of a piece beside the piece that the track goes on with: more is a parallel line
 
 
 @dataclass(frozen=True)
@@ -61,18 +66,9 @@ def overlap_votes(
     Returns:
         (N, M) float32 in [0, 1].
     """
+    each = [(one.segments, one.descriptors, one.profiles) for one in (tracks, lines)]
     votes: NDArray[np.float32] = _votes(
-        tracks.segments,
-        tracks.descriptors,
-        tracks.profiles,
-        lines.segments,
-        lines.descriptors,
-        lines.profiles,
-        bands,
-        parts,
-        min_appearance,
-        np.cos(max_angle),
-        min_agreement,
+        *each[0], *each[1], bands, parts, min_appearance, np.cos(max_angle), min_agreement
     )
     return votes
 
@@ -106,8 +102,18 @@ def beside(track, line):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _votes(  # type: ignore[no-untyped-def]
-    tracks, looks, profiles, lines, line_looks, line_profiles, bands, parts, min_alike, min_cos, min_agreement
+def _votes(  # type: ignore[no-untyped-def]  # shapes and dtypes as in `LineFeatures` and `overlap_votes`
+    tracks,
+    descriptors,
+    profiles,
+    lines,
+    line_descriptors,
+    line_profiles,
+    bands,
+    parts,
+    min_alike,
+    min_cos,
+    min_agreement,
 ):
     votes = np.zeros((len(tracks), len(lines)), np.float32)
     half = np.float32(0.5)
@@ -125,8 +131,8 @@ def _votes(  # type: ignore[no-untyped-def]
             if shared <= 0 or abs(cosine) < min_cos or distance >= band or max(at_low, at_high) > 1.5 * band:
                 continue
             agreement = np.float32(0)
-            for k in range(looks.shape[1]):
-                agreement += looks[i, k] * line_looks[j, k]
+            for k in range(descriptors.shape[1]):
+                agreement += descriptors[i, k] * line_descriptors[j, k]
             if agreement < min_agreement:
                 continue
             alike = np.float32(0)
@@ -162,3 +168,59 @@ def lines_near(track, length, band, x, y, lengths, slant, near):  # type: ignore
         near[count] = j
         count += possible[j]
     return count
+
+
+@njit()
+def parents(seen: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The older track whose line each line is a piece of.
+
+    Args:
+        seen: (M, 2, 2) float32 px, the lines of this frame: first those of the N tracks that go on, by their age, then
+            those of no track yet.
+        whole: (N, 2, 2) float32 px, the tracks' fused segments.
+
+    Returns:
+        (M,) int64 row of the track, or -1.
+    """
+    rows = np.full(len(seen), -1, np.int64)
+    half = np.float32(0.5)
+    x, y = half * (whole[:, 0, 0] + whole[:, 1, 0]), half * (whole[:, 0, 1] + whole[:, 1, 1])
+    lengths = np.hypot(whole[:, 1, 0] - whole[:, 0, 0], whole[:, 1, 1] - whole[:, 0, 1])
+    near = np.empty(len(whole), np.int64)
+    for m in range(len(seen)):
+        piece, nearest = seen[m], MAX_DISTANCE
+        length = np.hypot(piece[1, 0] - piece[0, 0], piece[1, 1] - piece[0, 1])
+        for c in range(lines_near(piece, length, MAX_DISTANCE, x, y, lengths, np.sqrt(1 - MIN_COS**2), near)):
+            n = near[c]
+            if n >= m:
+                break
+            shared, at_low, at_high, cosine = beside(whole[n], piece)
+            distance = max(at_low, at_high)
+            if shared < MIN_INSIDE * length or abs(cosine) < MIN_COS or distance >= nearest:
+                continue
+            if beside(seen[n], piece)[0] <= MAX_TWICE * length:
+                nearest, rows[m] = distance, n
+    return rows
+
+
+@njit()
+def absorbed(
+    pieces: NDArray[np.float32], parent_rows: NDArray[np.int64], seen: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Which missed pieces have become part of their parent's line again.
+
+    Args:
+        pieces: (M, 2, 2) float32 px, where the pieces should be.
+        parent_rows: (M,) int64 row of each one's parent among the lines, or -1.
+        seen: (N, 2, 2) float32 px, the lines that the tracks go on with.
+
+    Returns:
+        (M,) mask.
+    """
+    mask = np.zeros(len(pieces), np.bool_)
+    for m in range(len(pieces)):
+        if parent_rows[m] >= 0:
+            length = np.hypot(pieces[m, 1, 0] - pieces[m, 0, 0], pieces[m, 1, 1] - pieces[m, 0, 1])
+            shared, at_low, at_high, _ = beside(seen[parent_rows[m]], pieces[m])
+            mask[m] = shared >= MIN_INSIDE * length and max(at_low, at_high) < 2 * MAX_DISTANCE
+    return mask

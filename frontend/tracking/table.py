@@ -52,7 +52,7 @@ class TrackTable:
         return np.asarray(start + self.parts[:, :, None] * (end - start))
 
     @property
-    def looks(self) -> LineFeatures:
+    def features(self) -> LineFeatures:
         """The tracks as candidates for a pair."""
         return LineFeatures(self.segments, self.descriptors, self.profiles)
 
@@ -79,13 +79,9 @@ class TrackTable:
 
 
 def new_tracks(
-    first_id: int,
-    frame_index: int,
-    lines: LineFeatures,
-    covariances: NDArray[np.float32],
-    fragment_of: NDArray[np.int64],
+    first_id: int, frame_index: int, lines: LineFeatures, covariances: NDArray[np.float32], parents: NDArray[np.int64]
 ) -> TrackTable:
-    """A track for each of N lines that were seen for the first time."""
+    """A track for each of N lines that were seen for the first time; `parents` as in `fragment_of`."""
     count = len(lines.segments)
     return TrackTable(
         ids=np.arange(first_id, first_id + count, dtype=np.int64),
@@ -98,7 +94,7 @@ def new_tracks(
         hits=np.ones(count, np.int32),
         missed=np.zeros(count, np.int32),
         visible=np.ones(count, np.bool_),
-        fragment_of=fragment_of,
+        fragment_of=parents,
     )
 
 

@@ -1,20 +1,12 @@
-"""Addresses to publish at."""
+"""Addresses of line streams."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from airline.errors import ConfigError, InputError
-
-if TYPE_CHECKING:
-    from logs.live.foxglove import FoxgloveServer
-    from logs.live.zeromq import ZmqPublisher
-
-EXAMPLES = "tcp://127.0.0.1:5555, ipc:///tmp/lines (ZeroMQ) or ws://127.0.0.1:8765 (Foxglove)"
-LOCAL = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -55,30 +47,11 @@ def parse_address(text: str) -> Address:
         with suppress(ValueError):  # a port that is none
             parts = urlsplit(text)
             if parts.port is not None and "@" not in parts.netloc and not (parts.path or parts.query or parts.fragment):
-                return Address(scheme, parts.hostname or LOCAL, parts.port)
-    raise ConfigError(f"'{text}' is no address of a line stream: give {EXAMPLES}")
-
-
-def open_publisher(text: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
-    """Bind an address for tracked lines.
-
-    Args:
-        text: see `parse_address`.
-        name: of the input.
-        labels: show ids beside the lines, where a viewer is served.
-
-    Raises:
-        ConfigError: a text that is no address.
-        InputError: the address is taken, or cannot be had.
-    """
-    address = parse_address(text)
-    if address.scheme == "ws":
-        from logs.live.foxglove import FoxgloveServer
-
-        return FoxgloveServer(address, name, labels=labels)
-    from logs.live.zeromq import ZmqPublisher
-
-    return ZmqPublisher(address, name)
+                return Address(scheme, parts.hostname or "127.0.0.1", parts.port)
+    raise ConfigError(
+        f"'{text}' is no address of a line stream: give tcp://127.0.0.1:5555, ipc:///tmp/lines (ZeroMQ) or "
+        "ws://127.0.0.1:8765 (Foxglove)"
+    )
 
 
 def cannot_publish(address: Address, reason: str) -> InputError:

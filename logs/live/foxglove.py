@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import threading
 
-import orjson
-from foxglove import Channel, Context, Schema, start_server
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-from google.protobuf.message import Message
-
+from airline.errors import from_extra
 from frontend.protocols import FrameResult
 from logs.live.address import Address, cannot_publish
-from logs.sinks.foxglove import calibration, jpeg, line_annotations, schema_of
-from logs.sinks.mcap_tracks import ANNOTATIONS_TOPIC, CALIBRATION_TOPIC, IMAGE_TOPIC, TRACKS_TOPIC
-from logs.tracks.json import encode_tracks
-from logs.tracks.schema import SCHEMA, SCHEMA_NAME
+from logs.sinks.mcap_tracks import TOPICS, message_for
+
+with from_extra("foxglove"):
+    from foxglove import Channel, Context, Schema, start_server
 
 MESSAGES_WAITING = 64  # per viewer, about half a second of a camera; the server drops the oldest
-_JPEG_QUALITY = 80
 _CLOSE_S = 1.0
 
 
@@ -29,16 +22,7 @@ class FoxgloveServer:
     The topics and schemas are those of `McapTrackSink`, images included, but that the calibration comes with every
     frame: a viewer may come at any time. What no viewer looks at is not made. Nothing ever waits for a viewer.
 
-    Args:
-        address: of scheme "ws".
-        name: of the input.
-        labels: write the id beside each confirmed line.
-
-    Attributes:
-        address: where it can be reached, with the port that was found.
-
-    Raises:
-        InputError: the address is taken, or cannot be had.
+    Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
 
     def __init__(self, address: Address, name: str, *, labels: bool = False) -> None:
@@ -54,30 +38,22 @@ class FoxgloveServer:
             reason = str(error).rpartition(": ")[2].partition(" (os error")[0]
             raise cannot_publish(address, reason) from None
         self.address = str(Address("ws", address.host, self._server.port))
-
-        def protobuf(topic: str, message: type[Message]) -> Channel:
-            schema = Schema(name=message.DESCRIPTOR.full_name, encoding="protobuf", data=schema_of(message))
-            return Channel(topic, schema=schema, message_encoding="protobuf", context=context)
-
-        schema = Schema(name=SCHEMA_NAME, encoding="jsonschema", data=orjson.dumps(SCHEMA))
-        self._tracks = Channel(TRACKS_TOPIC, schema=schema, message_encoding="json", context=context)
-        self._annotations = protobuf(ANNOTATIONS_TOPIC, ImageAnnotations)
-        self._calibration = protobuf(CALIBRATION_TOPIC, CameraCalibration)
-        self._image = protobuf(IMAGE_TOPIC, CompressedImage)
+        self._channels = {
+            name: Channel(
+                name,
+                schema=Schema(name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema),
+                message_encoding=topic.encoding,
+                context=context,
+            )
+            for name, topic in TOPICS.items()
+        }
 
     def write(self, result: FrameResult) -> None:
         """Send one frame's tracks and image."""
-        tracks, camera = result.tracks, result.tracks.camera
-        stamp_ns = max(0, tracks.stamp_ns)  # viewers have no time before the epoch
-        if camera is not None and self._calibration.has_sinks():
-            self._calibration.log(calibration(camera, stamp_ns).SerializeToString(), log_time=stamp_ns)
-        if self._image.has_sinks():
-            self._image.log(jpeg(result.frame, _JPEG_QUALITY).SerializeToString(), log_time=stamp_ns)
-        if self._annotations.has_sinks():
-            drawn = line_annotations(tracks, labels=self._labels)
-            self._annotations.log(drawn.SerializeToString(), log_time=stamp_ns)
-        if self._tracks.has_sinks():
-            self._tracks.log(encode_tracks(tracks), log_time=stamp_ns)
+        stamp_ns = max(0, result.tracks.stamp_ns)  # viewers have no time before the epoch
+        for topic, channel in self._channels.items():
+            if channel.has_sinks() and (data := message_for(topic, result, labels=self._labels)) is not None:
+                channel.log(data, log_time=stamp_ns)
 
     def close(self) -> None:
         """Disconnect everybody; safe to call twice."""

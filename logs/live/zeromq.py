@@ -1,18 +1,25 @@
-"""Tracked lines to other processes over ZeroMQ."""
+"""Tracked lines to other processes over ZeroMQ: the publisher, and the reader of its stream."""
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import stat
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 
-import zmq
-
+from airline.errors import ConfigError, InputError, from_extra
 from frontend.protocols import FrameResult
-from logs.live.address import Address, cannot_publish
-from logs.live.message import encode_end, encode_frame
+from frontend.tracks import LineTracks
+from logs.live.address import Address, cannot_publish, parse_address
+from logs.live.message import MAX_BYTES, LiveTracks, decode, encode
+
+with from_extra("zeromq"):
+    import zmq
+
+log = logging.getLogger(__name__)
 
 MESSAGES_WAITING = 300  # per consumer, ten seconds of a camera
 CONNECT_S = 0.3  # consumers try to connect every 0.1 s
@@ -23,20 +30,11 @@ _LARGEST_REQUEST = 1 << 16  # bytes; consumers send nothing but subscriptions
 class ZmqPublisher:
     """Sends each frame's tracks to whoever is connected; a `Sink`.
 
-    It binds at once, a PUB socket, and never waits for a consumer: one that is slow loses messages, which the numbers
-    of the others show, and one that comes late gets what is sent from then on. Only the first frame may wait, until
-    `CONNECT_S` after the binding, so that consumers that are there already have connected and get it. The messages are
-    described in `logs.live.message`, and the last one says that it is.
+    A PUB socket that never waits for a consumer: one that is slow loses messages, which their numbers show, and one
+    that comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, so
+    that consumers that are there already have connected. The last message says that it is.
 
-    Args:
-        address: of scheme "tcp" or "ipc".
-        name: of the input.
-
-    Attributes:
-        address: where it can be reached, with the port that was found.
-
-    Raises:
-        InputError: the address is taken, or cannot be had.
+    Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
 
     def __init__(self, address: Address, name: str) -> None:
@@ -53,11 +51,10 @@ class ZmqPublisher:
             if address.scheme == "ipc":
                 _check_file(address)
             self._socket.bind(str(address))
-        except zmq.ZMQError as error:
+        except BaseException as error:
             self._context.destroy(0)
-            raise cannot_publish(address, zmq.strerror(error.errno or 0)) from None
-        except BaseException:
-            self._context.destroy(0)
+            if isinstance(error, zmq.ZMQError):
+                raise cannot_publish(address, zmq.strerror(error.errno or 0)) from None
             raise
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self._first_s = time.monotonic() + CONNECT_S
@@ -66,19 +63,19 @@ class ZmqPublisher:
         """Send one frame's tracks."""
         if self._sequence == 0:
             time.sleep(max(0.0, self._first_s - time.monotonic()))
-        stream, number, name = self._stream, self._sequence, self._name
-        self._send(encode_frame(result, stream=stream, sequence=number, name=name, sent_ns=time.time_ns()))
+        self._send(result)
 
     def close(self) -> None:
         """Say that this was all, and wait at most a second for consumers that are behind; safe to call twice."""
         if not self._socket.closed:
-            stream, number, name = self._stream, self._sequence, self._name
-            self._send(encode_end(stream=stream, sequence=number, name=name, sent_ns=time.time_ns()))
+            self._send(None)
             self._socket.close()  # by ourselves: a context that is interrupted forgets its sockets, and waits for them
         self._context.term()
 
-    def _send(self, message: bytes) -> None:
-        self._socket.send(message)
+    def _send(self, result: FrameResult | None) -> None:
+        self._socket.send(
+            encode(result, stream=self._stream, sequence=self._sequence, name=self._name, sent_ns=time.time_ns())
+        )
         self._sequence += 1
 
 
@@ -93,3 +90,99 @@ def _check_file(address: Address) -> None:
     with socket.socket(socket.AF_UNIX) as probe, suppress(OSError):
         probe.connect(address.path)
         raise cannot_publish(address, "it is in use")
+
+
+def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSubscription:
+    """The tracks that another process publishes, from now on; the process may start later.
+
+    Example:
+        >>> with subscribe_tracks("tcp://127.0.0.1:5555") as subscription:  # doctest: +SKIP
+        ...     for tracks in subscription:
+        ...         backend.add_lines(tracks.stamp_ns, tracks.ids, tracks.segments_normalized)
+
+    Args:
+        address: what `frontend.run --publish` was given, `tcp://HOST:PORT` or `ipc://PATH`.
+        timeout_s: how long to wait for a message, None for ever.
+
+    Raises:
+        ConfigError: no such address.
+        InputError: it cannot be used; more in `TrackSubscription`.
+    """
+    return TrackSubscription(address, timeout_s)
+
+
+class TrackSubscription:
+    """Iterates over the frames of a stream, as the same `frontend.LineTracks` that were sent, until it ends.
+
+    Raises InputError when nothing comes for too long, for what is no message of this version of the protocol, and when
+    the publisher begins anew, because then track ids do, too. One may iterate again after each of them.
+
+    Attributes:
+        lost: messages sent since the first that came, but never received: the reader or the network was too slow.
+        latest: the latest message, with its times and its number; None before the first.
+    """
+
+    def __init__(self, address: str, timeout_s: float | None) -> None:
+        self.lost = 0
+        self.latest: LiveTracks | None = None
+        self._address = parse_address(address)
+        self._timeout_s = timeout_s
+        if self._address.scheme == "ws":
+            raise ConfigError(f"'{address}' is for Foxglove: subscribe to a tcp:// or ipc:// address")
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        try:
+            self._socket.setsockopt(zmq.RCVHWM, MESSAGES_WAITING)
+            self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)  # ZeroMQ disconnects from who sends more
+            self._socket.setsockopt(zmq.IPV6, ":" in self._address.host)
+            self._socket.subscribe(b"")
+            self._socket.connect(str(self._address))
+        except zmq.ZMQError as error:
+            self.close()
+            raise InputError(
+                f"cannot subscribe to '{address}' ({zmq.strerror(error.errno or 0)}): name another"
+            ) from None
+
+    def __iter__(self) -> Iterator[LineTracks]:
+        while not self._socket.closed:
+            message = self._receive()
+            self._count(message)
+            if message.tracks is None:
+                self.close()
+            else:
+                yield message.tracks
+
+    def __enter__(self) -> TrackSubscription:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
+        self._socket.close(0)  # see `ZmqPublisher.close`
+        self._context.term()
+
+    def _receive(self) -> LiveTracks:
+        if not self._socket.poll(None if self._timeout_s is None else round(1e3 * self._timeout_s)):
+            raise InputError(f"nothing came from {self._address} for {self._timeout_s:g} s: is anybody publishing?")
+        parts = self._socket.recv_multipart()
+        if len(parts) > 1:
+            raise InputError(f"{self._address} sends messages of several parts: it is no stream of lines")
+        try:
+            return decode(parts[0])
+        except InputError as error:
+            raise InputError(f"{self._address}: {error}") from error
+
+    def _count(self, message: LiveTracks) -> None:
+        before, self.latest = self.latest, message
+        if before is None:
+            return
+        if message.stream != before.stream:
+            raise InputError(f"the publisher at {self._address} began anew, and so do its track ids: subscribe again")
+        lost = message.sequence - before.sequence - 1
+        if lost < 0:
+            raise InputError(f"{self._address} sends message {message.sequence} behind message {before.sequence}")
+        if lost and not self.lost:
+            log.warning("%s: messages come faster than they are taken: some are lost", self._address)
+        self.lost += lost

@@ -14,7 +14,6 @@ import os
 import pickle
 from collections import deque
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.output import OutputFile, errors_of
+from logs.sinks.output import OutputFile, errors_of, whole_file
 
 SEGMENTS = Path("line_detections/lsd/segments")
 MATCHES = Path("line_matchings/lsd/feats_lbd")
@@ -47,8 +46,8 @@ class LimapTrackSink:
     | images.csv | image id and stamp of every image whose files are complete |
 
     Image ids are frame numbers, lines the fused ones of all tracks. LIMAP wants images without distortion and follows
-    COLMAP, whose (0, 0) is the corner of the top-left pixel: lines are undistorted where the camera is known, for a
-    pinhole camera of the same focal lengths and principal point, and moved by half a pixel. So leave LIMAP's
+    COLMAP, whose (0, 0) is the corner of the top-left pixel. So lines are undistorted where the camera is known, for a
+    pinhole camera of the same focal lengths and principal point, and moved by half a pixel: leave LIMAP's
     `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
     no undistortion reaches are left out.
 
@@ -57,12 +56,11 @@ class LimapTrackSink:
 
     Args:
         folder: made if it does not exist.
-        neighbours: of each image, half of them before and half after it; LIMAP's `n_neighbors`.
+        neighbours: of each image, an even number, half before and half after it; LIMAP's `n_neighbors`.
         overwrite: write into a folder that holds files; those of an earlier run are removed.
 
     Raises:
         InputError: the folder holds files, or cannot be written; a camera that changes.
-        ConfigError: an odd or negative number of neighbours.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:
@@ -72,7 +70,15 @@ class LimapTrackSink:
         check_folder(self._folder, overwrite)
         self._matches = self._folder / MATCHES / f"lbd_n{neighbours}_top0"
         with errors_of(self._folder):
-            _clear(self._folder)
+            for old in (
+                IMAGES,
+                CAMERAS,
+                NEIGHBOURS,
+                SEGMENTS / "segments_*.txt",
+                MATCHES / "lbd_n*_top0/matches_*.npy",
+            ):
+                for path in self._folder.glob(str(old)):  # LIMAP would take them for images of this run
+                    path.unlink()
             for made in (self._folder / SEGMENTS, self._matches):
                 made.mkdir(parents=True, exist_ok=True)
         self._neighbours = neighbours
@@ -80,7 +86,7 @@ class LimapTrackSink:
         with self._images.writing() as file:
             file.write(b"image_id,stamp_ns\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
-        self._camera: CameraModel | None = None
+        self._camera: str | None = None
         self._last = -1
 
     def write(self, result: FrameResult) -> None:
@@ -91,10 +97,14 @@ class LimapTrackSink:
             raise InputError(f"cannot write '{self._folder}': frame {image} follows frame {self._last}")
         self._last = image
         with self._images.writing() as file, errors_of(self._folder):
-            self._write_camera(tracks.camera)
+            if tracks.camera is not None:
+                self._write_camera(tracks.camera)
             segments, ids = lines_for_limap(tracks)
             self._match(image, ids)
-            _write_segments(self._folder / SEGMENTS / f"segments_{image}.txt", segments)
+            text = f"{len(segments)}\n" + "%.4f %.4f %.4f %.4f\n" * len(segments) % tuple(segments.ravel().tolist())
+            names = self._folder / SEGMENTS  # LIMAP takes every file in there for segments
+            with whole_file(names / f"segments_{image}.txt", names.with_suffix(".tmp")) as lines:
+                lines.write(text.encode("ascii"))
             file.write(b"%d,%d\n" % (image, tracks.stamp_ns))
             file.flush()
 
@@ -112,7 +122,8 @@ class LimapTrackSink:
         """Match with the images before; an image is done with when its last neighbour has been seen."""
         own: dict[int, NDArray[np.int32]] = {}
         for earlier, earlier_ids, matches in self._window:
-            own[earlier] = _common_rows(ids, earlier_ids)
+            _, rows, earlier_rows = np.intersect1d(ids, earlier_ids, assume_unique=True, return_indices=True)
+            own[earlier] = np.stack([rows, earlier_rows], axis=1).astype(np.int32)
             matches[image] = np.ascontiguousarray(own[earlier][:, ::-1])
         self._write_matches(image, own)
         self._window.append((image, ids, own))
@@ -121,20 +132,20 @@ class LimapTrackSink:
             self._write_matches(done, matches)
 
     def _write_matches(self, image: int, matches: dict[int, NDArray[np.int32]]) -> None:
-        path = self._matches / f"matches_{image}.npy"
-        whole = path.with_suffix(".tmp")
-        with whole.open("wb") as file:
-            _save_pickled(file, matches)
-        whole.replace(path)
+        """What `np.save` makes of a dictionary, in a form that NumPy 1, which LIMAP runs with, loads too."""
+        text = pickle.dumps(np.array(matches, object), protocol=3)
+        with whole_file(self._matches / f"matches_{image}.npy") as file:
+            np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": ()})
+            file.write(text.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
 
-    def _write_camera(self, camera: CameraModel | None) -> None:
-        if camera is None or camera is self._camera:
-            return
-        text = _colmap_camera(camera)
-        if self._camera is not None and text != _colmap_camera(self._camera):
+    def _write_camera(self, camera: CameraModel) -> None:
+        numbers = map(float, (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER))
+        text = f"1 PINHOLE {camera.width} {camera.height} {' '.join(map(repr, numbers))}\n"
+        if self._camera is None:
+            (self._folder / CAMERAS).write_text(text, encoding="ascii")
+        elif text != self._camera:
             raise InputError(f"cannot write '{self._folder}': the camera changes, and LIMAP's files know only one")
-        (self._folder / CAMERAS).write_text(text, encoding="ascii")
-        self._camera = camera
+        self._camera = text
 
 
 def lines_for_limap(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -155,17 +166,17 @@ def check_folder(folder: Path, overwrite: bool) -> None:
         raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
 
 
-def finish_folder(folder: Path, neighbours: int) -> None:
+def finish_folder(folder: Path, neighbours: int) -> int:
     """Write the table of neighbours of the images in `images.csv`, without limits on the extent of the scene."""
     with errors_of(folder / NEIGHBOURS):
-        lines = (folder / IMAGES).read_text(encoding="ascii").splitlines()[1:]
-        images = [line.split(",")[0] for line in lines]
-        with (folder / NEIGHBOURS).open("w", encoding="ascii") as file:
-            file.write(f"number of images, {len(images)}\n")
-            file.writelines(f"{axis}-range, -inf, inf\n" for axis in "xyz")
-            for k, image in enumerate(images):
-                around = images[max(k - neighbours // 2, 0) : k] + images[k + 1 : k + 1 + neighbours // 2]
-                file.write(", ".join([f"image {image}", *around]) + "\n")
+        rows = (folder / IMAGES).read_text(encoding="ascii").splitlines()[1:]
+        images = [row.split(",")[0] for row in rows]
+        lines = [f"number of images, {len(images)}", *(f"{axis}-range, -inf, inf" for axis in "xyz")]
+        for k, image in enumerate(images):
+            around = images[max(k - neighbours // 2, 0) : k] + images[k + 1 : k + 1 + neighbours // 2]
+            lines.append(", ".join([f"image {image}", *around]))
+        (folder / NEIGHBOURS).write_text("\n".join(lines) + "\n", encoding="ascii")
+    return len(images)
 
 
 def repair_folder(folder: Path) -> int:
@@ -174,39 +185,4 @@ def repair_folder(folder: Path) -> int:
     count = names[0].removeprefix("lbd_n").removesuffix("_top0") if names else ""
     if not count.isdecimal() or not (folder / IMAGES).is_file():
         raise InputError(f"'{folder}' is no folder of tracks for LIMAP: there is nothing to repair")
-    finish_folder(folder, int(count))
-    return len((folder / IMAGES).read_text(encoding="ascii").splitlines()) - 1
-
-
-def _save_pickled(file: BinaryIO, value: object) -> None:
-    """What `np.save` makes of an object, in a form that NumPy 1, which LIMAP runs with, loads too."""
-    np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": ()})
-    text = pickle.dumps(np.array(value, object), protocol=3)
-    file.write(text.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
-
-
-def _common_rows(ids: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(K, 2) rows of the ids that are in both arrays; both are ascending."""
-    places = np.searchsorted(others, ids)
-    rows = np.flatnonzero(others[places[places < len(others)]] == ids[places < len(others)])
-    return np.stack([rows, places[rows]], axis=1).astype(np.int32)
-
-
-def _write_segments(path: Path, segments: NDArray[np.float64]) -> None:
-    text = f"{len(segments)}\n" + "%.4f %.4f %.4f %.4f\n" * len(segments) % tuple(segments.ravel().tolist())
-    whole = path.parent.with_suffix(".tmp")  # LIMAP takes every file in the folder for segments
-    whole.write_bytes(text.encode("ascii"))
-    whole.replace(path)
-
-
-def _colmap_camera(camera: CameraModel) -> str:
-    numbers = (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER)
-    return f"1 PINHOLE {camera.width} {camera.height} {' '.join(repr(float(number)) for number in numbers)}\n"
-
-
-def _clear(folder: Path) -> None:
-    """Remove the files of an earlier run, which LIMAP would take for images of this one."""
-    old = [folder / name for name in (IMAGES, CAMERAS, NEIGHBOURS)]
-    old += [*(folder / SEGMENTS).glob("segments_*.txt"), *(folder / MATCHES).glob("lbd_n*_top0/matches_*.npy")]
-    for path in old:
-        path.unlink(missing_ok=True)
+    return finish_folder(folder, int(count))

@@ -1,31 +1,151 @@
-"""Tracked lines in an MCAP file, for Foxglove and Lichtblick and for reading back."""
+"""Tracked lines in an MCAP file, for Foxglove and Lichtblick and for reading back; and the messages for both.
+
+Foxglove draws annotations with (0, 0) at the corner of the top-left pixel, half a pixel from our origin; calibrations
+follow OpenCV and ROS, whose origin is ours.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import cv2
+import numpy as np
 import orjson
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from airline.errors import ConfigError
+from airline.image import to_uint8
 from frontend.camera.model import CameraModel
+from frontend.colours import track_colours
+from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.foxglove import calibration, jpeg, line_annotations, schema_of
-from logs.sinks.mcap_output import McapOutput
-from logs.tracks.json import camera_fields, encode_tracks
-from logs.tracks.schema import CONVENTIONS, SCHEMA, SCHEMA_NAME
+from logs.sinks.output import McapOutput
+from logs.tracks.json import CONVENTIONS, SCHEMA, SCHEMA_NAME, SECOND_NS, Camera, encode_tracks
 
 ANNOTATIONS_TOPIC = "/lines/annotations"
 TRACKS_TOPIC = "/lines/tracks"
 CALIBRATION_TOPIC = "/camera/calibration"
 IMAGE_TOPIC = "/camera/image"
+JPEG_QUALITY = 80
 
-_CALIBRATION_EVERY_NS = 1_000_000_000  # 250 bytes: players that seek or stream a part need not look far back
+_CORNER = 0.5
+_FRAME_ID = "camera"
+_THICKNESS = 2.0  # px
+_FAINT = 0.4  # opacity of tentative tracks
+_FONT_SIZE = 10.0
+_MODELS = {"none": "plumb_bob", "equidistant": "kannala_brandt"}
+
+
+class Topic(NamedTuple):
+    """How the messages of a topic are encoded, and what says so."""
+
+    encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+
+
+def _protobuf(message: type[Message]) -> Topic:
+    return Topic("protobuf", message.DESCRIPTOR.full_name, "protobuf", schema_of(message))
+
+
+def schema_of(message: type[Message]) -> bytes:
+    """The serialised FileDescriptorSet of a message's file and of all that it imports, imports first."""
+    files = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:  # a FileDescriptor, pure Python's or the C library's
+        if file.name not in seen:
+            seen.add(file.name)
+            for imported in file.dependencies:
+                add(imported)
+            file.CopyToProto(files.file.add())
+
+    add(message.DESCRIPTOR.file)
+    return files.SerializeToString()
+
+
+TOPICS = {
+    CALIBRATION_TOPIC: _protobuf(CameraCalibration),
+    IMAGE_TOPIC: _protobuf(CompressedImage),
+    ANNOTATIONS_TOPIC: _protobuf(ImageAnnotations),
+    TRACKS_TOPIC: Topic("json", SCHEMA_NAME, "jsonschema", orjson.dumps(SCHEMA)),
+}
+
+
+def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: int = JPEG_QUALITY) -> bytes | None:
+    """What a frame says on one of the `TOPICS`; None for the calibration of a camera that is not known."""
+    tracks = result.tracks
+    if topic == TRACKS_TOPIC:
+        return encode_tracks(tracks)
+    if topic == ANNOTATIONS_TOPIC:
+        return _annotations(tracks, labels).SerializeToString()
+    if topic == IMAGE_TOPIC:
+        return _jpeg(result.frame, jpeg_quality).SerializeToString()
+    return None if tracks.camera is None else _calibration(tracks.camera, tracks.stamp_ns).SerializeToString()
+
+
+def _annotations(tracks: LineTracks, labels: bool) -> ImageAnnotations:
+    """The fused lines in the colours of their ids, tentative ones paler and half transparent."""
+    stamp = _timestamp(tracks.stamp_ns)
+    message = ImageAnnotations(timestamp=stamp)
+    lines = message.points.add(type=PointsAnnotation.LINE_LIST, thickness=_THICKNESS, timestamp=stamp)
+    confirmed = tracks.confirmed
+    points = tracks.segments_px.astype(np.float64) + _CORNER
+    colours = np.ones((len(tracks), 4))
+    colours[:, :3] = track_colours(tracks.ids, confirmed) / 255
+    colours[~confirmed, 3] = _FAINT
+    for x, y in points.reshape(-1, 2).tolist():
+        lines.points.add(x=x, y=y)
+    for r, g, b, a in colours.tolist():
+        lines.outline_colors.add(r=r, g=g, b=b, a=a)
+    for k in np.flatnonzero(confirmed) if labels else ():
+        text = message.texts.add(timestamp=stamp, text=str(tracks.ids[k]), font_size=_FONT_SIZE)
+        text.position.x, text.position.y = points[k].mean(0).tolist()
+        text.text_color.MergeFrom(lines.outline_colors[k])
+        text.background_color.a = 0.5
+    return message
+
+
+def _calibration(camera: CameraModel, stamp_ns: int) -> CameraCalibration:
+    """The camera; one without distortion is a plumb_bob of zeros."""
+    coefficients = [float(value) for value in camera.coefficients]
+    model = _MODELS.get(camera.distortion) or ("plumb_bob" if len(coefficients) <= 5 else "rational_polynomial")
+    if model == "plumb_bob":
+        coefficients += [0.0] * (5 - len(coefficients))
+    matrix = camera.matrix
+    return CameraCalibration(
+        timestamp=_timestamp(stamp_ns),
+        frame_id=_FRAME_ID,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=model,
+        D=coefficients,
+        K=matrix.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.hstack([matrix, np.zeros((3, 1))]).ravel().tolist(),
+    )
+
+
+def _jpeg(frame: Frame, quality: int) -> CompressedImage:
+    """The image, 16 bits reduced to 8."""
+    _, encoded = cv2.imencode(".jpg", to_uint8(frame.image), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    stamp = _timestamp(frame.stamp_ns)
+    return CompressedImage(timestamp=stamp, frame_id=_FRAME_ID, format="jpeg", data=encoded.tobytes())
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    seconds, nanos = divmod(int(stamp_ns), SECOND_NS)
+    return Timestamp(seconds=seconds, nanos=nanos)
 
 
 class McapTrackSink:
@@ -42,15 +162,10 @@ class McapTrackSink:
     each other. The file's metadata record "airline-frontend" states the conventions.
 
     Args:
-        path: the file.
+        path, overwrite: see `OutputFile`.
         with_images: write the images too.
         labels: write the id beside each confirmed line.
-        overwrite: replace an existing file.
-        jpeg_quality: 1 to 100.
-
-    Raises:
-        InputError: the file exists or cannot be written.
-        ConfigError: no such JPEG quality.
+        jpeg_quality: 1 to 100, else a ConfigError.
     """
 
     def __init__(
@@ -60,54 +175,45 @@ class McapTrackSink:
         with_images: bool = False,
         labels: bool = False,
         overwrite: bool = False,
-        jpeg_quality: int = 80,
+        jpeg_quality: int = JPEG_QUALITY,
     ) -> None:
         if not 1 <= jpeg_quality <= 100:
             raise ConfigError(f"JPEG quality is {jpeg_quality}: give 1 to 100")
         self._labels = labels
         self._quality = jpeg_quality
-        topics = {"annotations": ANNOTATIONS_TOPIC, "tracks": TRACKS_TOPIC, "calibration": CALIBRATION_TOPIC}
-        if with_images:
-            topics["image"] = IMAGE_TOPIC
+        topics = [topic for topic in TOPICS if with_images or topic != IMAGE_TOPIC]
         metadata = {
             **CONVENTIONS,
-            **{f"topic of {name}": topic for name, topic in topics.items()},
+            **{f"topic of {topic.rpartition('/')[2]}": topic for topic in topics},
             "annotations": "shifted by half a pixel: Foxglove's (0, 0) is the corner of the top-left pixel",
         }
-        self._output = McapOutput(Path(path), {"airline-frontend": metadata}, overwrite=overwrite)
-        schema = orjson.dumps(SCHEMA)
-        self._tracks = self._output.channel(TRACKS_TOPIC, "json", SCHEMA_NAME, "jsonschema", schema)
-        self._annotations = self._protobuf(ANNOTATIONS_TOPIC, ImageAnnotations)
-        self._calibration = self._protobuf(CALIBRATION_TOPIC, CameraCalibration)
-        self._image = self._protobuf(IMAGE_TOPIC, CompressedImage) if with_images else None
+        self._output = McapOutput(Path(path), overwrite, metadata)
+        self._channels = {topic: self._output.channel(topic, *TOPICS[topic]) for topic in topics}
         self._camera: CameraModel | None = None
         self._calibrated_ns: int | None = None
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks, and its image where asked for."""
-        tracks, stamp_ns = result.tracks, result.tracks.stamp_ns
-        self._write_calibration(tracks)
-        if self._image is not None:
-            self._output.write(self._image, stamp_ns, jpeg(result.frame, self._quality).SerializeToString())
-        drawn = line_annotations(tracks, labels=self._labels)
-        self._output.write(self._annotations, stamp_ns, drawn.SerializeToString())
-        self._output.write(self._tracks, stamp_ns, encode_tracks(tracks))
+        calibrate = self._calibration_is_due(result.tracks)
+        for topic, channel in self._channels.items():
+            if topic == CALIBRATION_TOPIC and not calibrate:
+                continue
+            data = message_for(topic, result, labels=self._labels, jpeg_quality=self._quality)
+            if data is not None:
+                self._output.write(channel, result.tracks.stamp_ns, data)
         self._output.flush_when_due()
 
     def close(self) -> None:
         """Write the file's index; safe to call twice."""
         self._output.close()
 
-    def _protobuf(self, topic: str, message: type[Message]) -> int:
-        return self._output.channel(topic, "protobuf", message.DESCRIPTOR.full_name, "protobuf", schema_of(message))
-
-    def _write_calibration(self, tracks: LineTracks) -> None:
-        camera, stamp_ns = tracks.camera, tracks.stamp_ns
+    def _calibration_is_due(self, tracks: LineTracks) -> bool:
+        """When the camera changes, and every second, so that players that seek need not look far back."""
+        camera, before, self._camera = tracks.camera, self._camera, tracks.camera
         if camera is None:
-            self._camera = None
-            return
-        changed = camera is not self._camera and camera_fields(camera) != camera_fields(self._camera)
-        if changed or self._calibrated_ns is None or stamp_ns - self._calibrated_ns >= _CALIBRATION_EVERY_NS:
-            self._output.write(self._calibration, stamp_ns, calibration(camera, stamp_ns).SerializeToString())
-            self._calibrated_ns = stamp_ns
-        self._camera = camera
+            return False
+        changed = camera is not before and Camera.of(camera) != Camera.of(before)
+        due = changed or self._calibrated_ns is None or tracks.stamp_ns - self._calibrated_ns >= SECOND_NS
+        if due:
+            self._calibrated_ns = tracks.stamp_ns
+        return due

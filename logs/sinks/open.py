@@ -1,22 +1,27 @@
-"""Which sink an output name stands for."""
+"""Which sink the name of an output or an address stands for."""
 
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.errors import InputError
+from logs.live.address import parse_address
+from logs.sinks.output import check_new
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
+    from logs.live.foxglove import FoxgloveServer
+    from logs.live.zeromq import ZmqPublisher
 
-KINDS = {
-    "mcap": "NAME.mcap (for Foxglove)",
-    "parquet": "NAME.parquet",
-    "csv": "NAME.csv",
-    "plvins": "plvins.mcap or plvins:NAME.mcap (for PL-VINS)",
-    "limap": "limap/ or limap:FOLDER (for LIMAP)",
+KINDS = {  # what to give, and the module and class that write it
+    "mcap": ("NAME.mcap (for Foxglove)", "logs.sinks.mcap_tracks", "McapTrackSink"),
+    "parquet": ("NAME.parquet", "logs.sinks.parquet", "ParquetTrackSink"),
+    "csv": ("NAME.csv", "logs.sinks.csv", "CsvTrackSink"),
+    "plvins": ("plvins.mcap or plvins:NAME.mcap (for PL-VINS)", "logs.sinks.plvins", "PlVinsTrackSink"),
+    "limap": ("limap/ or limap:FOLDER (for LIMAP)", "logs.sinks.limap", "LimapTrackSink"),
 }
 
 
@@ -41,7 +46,7 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
         return "plvins", path
     if path.suffix.lower() in (".mcap", ".parquet", ".csv"):
         return path.suffix.lower()[1:], path
-    raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(KINDS.values())}")
+    raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
 
 
 def check(spec: str, overwrite: bool = False) -> None:
@@ -56,8 +61,6 @@ def check(spec: str, overwrite: bool = False) -> None:
 
         check_table(path, overwrite)
     else:
-        from logs.sinks.output import check_new
-
         check_new(path, overwrite)
 
 
@@ -66,30 +69,33 @@ def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = F
 
     Args:
         spec: see `kind_and_path`.
-        overwrite: replace what is there.
-        with_images: write the images too, where the format can hold them (MCAP for Foxglove).
-        labels: write ids beside the lines, where the format can show them (MCAP for Foxglove).
-
-    Raises:
-        InputError: an unknown kind, or an output that exists or cannot be made.
+        overwrite: replace what is there, which is an InputError otherwise.
+        with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
     """
     kind, path = kind_and_path(spec)
-    if kind == "mcap":
-        from logs.sinks.mcap_tracks import McapTrackSink
+    _, module, sink = KINDS[kind]
+    options = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
+    opened: Sink = getattr(import_module(module), sink)(path, overwrite=overwrite, **options)
+    return opened
 
-        return McapTrackSink(path, with_images=with_images, labels=labels, overwrite=overwrite)
-    if kind == "parquet":
-        from logs.sinks.parquet import ParquetTrackSink
 
-        return ParquetTrackSink(path, overwrite=overwrite)
-    if kind == "csv":
-        from logs.sinks.csv import CsvTrackSink
+def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
+    """Bind an address for tracked lines.
 
-        return CsvTrackSink(path, overwrite=overwrite)
-    if kind == "plvins":
-        from logs.sinks.plvins import PlVinsTrackSink
+    Args:
+        address: see `parse_address`.
+        name: of the input.
+        labels: write ids beside the lines, where a viewer is served.
 
-        return PlVinsTrackSink(path, overwrite=overwrite)
-    from logs.sinks.limap import LimapTrackSink
+    Raises:
+        ConfigError: no address, or the extra that serves it is not installed.
+        InputError: the address is taken, or cannot be had.
+    """
+    parsed = parse_address(address)
+    if parsed.scheme == "ws":
+        from logs.live.foxglove import FoxgloveServer
 
-    return LimapTrackSink(path, overwrite=overwrite)
+        return FoxgloveServer(parsed, name, labels=labels)
+    from logs.live.zeromq import ZmqPublisher
+
+    return ZmqPublisher(parsed, name)

@@ -1,13 +1,15 @@
-"""Files to write: never over others unasked, and with errors that name the file."""
+"""Files to write: never over others unasked, whole lines and messages every second, errors that name the file."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+from mcap.writer import Writer
 
 from airline.errors import InputError
 
@@ -33,15 +35,23 @@ def check_new(path: Path, overwrite: bool) -> None:
         raise InputError(f"'{path}' exists: choose another name or give --overwrite")
 
 
+@contextmanager
+def whole_file(path: Path, part: Path | None = None) -> Iterator[BinaryIO]:
+    """A file that appears, or replaces another, when the block ends well; until then it is `part`, hidden beside it."""
+    part = part or path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with part.open("wb") as file:
+            yield file
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 class OutputFile:
     """A new file that is written to until the first error, which closes it: what stands before a gap stays readable.
 
-    Args:
-        path: the file.
-        overwrite: replace an existing file.
-
     Raises:
-        InputError: the file exists or cannot be written.
+        InputError: the file exists and `overwrite` is not set, or it cannot be written.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -50,7 +60,7 @@ class OutputFile:
         with errors_of(path):
             self.file: BinaryIO = path.open("wb" if overwrite else "xb")
         self.is_open = True
-        self._checked = time.monotonic()
+        self._checked = self._flushed = time.monotonic()
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
@@ -68,6 +78,13 @@ class OutputFile:
                 self.file.close()
             raise
 
+    def flush_is_due(self) -> bool:
+        """Whether `FLUSH_S` have passed since it was due last."""
+        due = time.monotonic() - self._flushed >= FLUSH_S
+        if due:
+            self._flushed = time.monotonic()
+        return due
+
     def close(self) -> None:
         """Close the file; safe to call twice."""
         if self.is_open:
@@ -77,17 +94,56 @@ class OutputFile:
             self.is_open = False
 
     def _check_place(self) -> None:
-        """Refuse to go on with a file that nobody could find; raises InputError."""
         self._checked = time.monotonic()
-        if not is_at(self.file.fileno(), self.path):
+        try:
+            is_there = os.path.samestat(self.path.stat(), os.fstat(self.file.fileno()))
+        except (FileNotFoundError, NotADirectoryError):
+            is_there = False
+        if not is_there:
             raise InputError(
                 f"cannot write '{self.path}': it was removed or moved while it was written; leave it in its place"
             )
 
 
-def is_at(descriptor: int, path: Path) -> bool:
-    """Whether an open file still has its name; raises OSError where that cannot be told."""
-    try:
-        return os.path.samestat(path.stat(), os.fstat(descriptor))
-    except (FileNotFoundError, NotADirectoryError):
-        return False
+class McapOutput(OutputFile):
+    """An MCAP file whose chunks are closed by the clock: all but the last second can be read, whatever happens.
+
+    Args:
+        path, overwrite: see `OutputFile`.
+        metadata: the record "airline-frontend"; written first, so that a cut file has it too.
+        profile: MCAP's name for the kind of system the messages are from, such as "ros1".
+    """
+
+    def __init__(self, path: Path, overwrite: bool, metadata: Mapping[str, str], *, profile: str = "") -> None:
+        super().__init__(path, overwrite)
+        self._writer = Writer(self.file)
+        with self.writing():
+            self._writer.start(profile=profile, library="airline-frontend")
+            self._writer.add_metadata("airline-frontend", dict(metadata))
+            self._writer.flush()
+
+    def channel(self, topic: str, encoding: str, schema_name: str, schema_encoding: str, schema: bytes) -> int:
+        """Announce a topic; returns the number to write its messages with."""
+        with self.writing():
+            schema_id = self._writer.register_schema(schema_name, schema_encoding, schema)
+            return self._writer.register_channel(topic, encoding, schema_id)
+
+    def write(self, channel: int, stamp_ns: int, data: bytes) -> None:
+        """Add a message; players order and show messages by the stamp, ns."""
+        if not 0 <= stamp_ns < 2**63:
+            raise InputError(f"cannot write '{self.path}': MCAP has no time {stamp_ns} ns, before the epoch")
+        with self.writing():
+            self._writer.add_message(channel, stamp_ns, data, stamp_ns)
+
+    def flush_when_due(self) -> None:
+        """Close the chunk when the last one was closed a second ago; call it when a frame is complete."""
+        if self.flush_is_due():
+            with self.writing():
+                self._writer.flush()
+
+    def close(self) -> None:
+        """Write the index and close the file; safe to call twice."""
+        if self.is_open:
+            with self.writing():
+                self._writer.finish()
+            super().close()

@@ -1,19 +1,25 @@
-"""Tracked lines in a Parquet file, for notebooks and for reading back."""
+"""Tracked lines in a Parquet file, for notebooks and for reading back.
+
+A Parquet file has its index at the end and is nothing without it. So rows go into a journal first, an Arrow IPC stream
+that is readable up to its last whole batch. Every batch holds whole frames, and in its metadata the notes on them.
+"""
 
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from airline.errors import InputError
+from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
-from logs.sinks.output import FLUSH_S, OutputFile, check_new, errors_of
-from logs.tracks.journal import JournalWriter, journal_of, read_journal
-from logs.tracks.table import SCHEMA, TableNotes
+from frontend.tracks import LineTracks
+from logs.read import read_journal
+from logs.sinks.output import OutputFile, check_new, errors_of, whole_file
+from logs.tracks.json import Camera
+from logs.tracks.table import SCHEMA, TableNotes, to_batch
 
 _ROWS_WAITING = 50_000  # at most, 10 MB
 _GROUP_ROWS = 100_000  # 20 MB
@@ -22,50 +28,67 @@ _GROUP_ROWS = 100_000  # 20 MB
 class ParquetTrackSink:
     """Writes each frame's tracks into a Parquet file, one row per observation; a `Sink`.
 
-    The columns, their units and the conventions are in `logs.tracks.table` and in the file's own metadata. While it
-    runs, rows go into the journal `NAME.parquet.unfinished`, at least every second; `close` makes the Parquet file of
-    it. After a crash `finish_journal` does, and `logs.read_tracks` reads the journal as it is.
-
-    Args:
-        path: the file.
-        overwrite: replace an existing file, and the journal of a run that never ended.
-
-    Raises:
-        InputError: the file exists or cannot be written; what was written until then stays in the journal.
+    The file's own metadata explain its columns. While it runs, rows go into the journal `NAME.parquet.unfinished`, at
+    least every second; `close` makes the Parquet file of it. After a crash `finish_journal` does, and
+    `logs.read_tracks` reads the journal as it is. Arguments and errors are those of `OutputFile`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         self._path = Path(path)
-        self._journal = journal_of(self._path)
         self._overwrite = overwrite
         check_table(self._path, overwrite)
-        self._output = OutputFile(self._journal, overwrite)
+        self._output = OutputFile(journal_of(self._path), overwrite)
+        self._frames: list[LineTracks] = []
+        self._notes = TableNotes()
+        self._place = 0
+        self._camera: CameraModel | None = None
         with self._output.writing() as file:
-            self._writer = JournalWriter(file)
-        self._flushed = time.monotonic()
+            self._stream = pa.ipc.new_stream(file, SCHEMA)
+            self._write_batch()  # the header is on its way with the first batch only
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
-        self._writer.add(result.tracks)
-        now = time.monotonic()
-        if now - self._flushed >= FLUSH_S or self._writer.rows_waiting >= _ROWS_WAITING:
+        tracks = result.tracks
+        if tracks.camera is not self._camera and Camera.of(tracks.camera) != Camera.of(self._camera):
+            self._notes.cameras[self._place] = tracks.camera
+        self._camera = tracks.camera
+        if not len(tracks):
+            self._notes.empty[self._place] = tracks
+        self._frames.append(tracks)
+        self._place += 1
+        if self._output.flush_is_due() or sum(map(len, self._frames)) >= _ROWS_WAITING:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is waiting into the journal; whatever happens to the process, it can be read from now on."""
+        if self._frames:
             with self._output.writing():
-                self._writer.flush()
-            self._flushed = now
+                self._write_batch()
 
     def close(self) -> None:
         """Make the Parquet file; safe to call twice."""
         if not self._output.is_open:
             return
+        self.flush()
         with self._output.writing():
-            self._writer.close()
+            self._stream.close()
         self._output.close()
         try:
-            finish_journal(self._journal, self._path, overwrite=self._overwrite)
+            finish_journal(self._output.path, self._path, overwrite=self._overwrite)
         except InputError as error:
-            if not self._journal.exists():
+            if not self._output.path.exists():
                 raise
-            raise InputError(f"{error}; the tracks are in '{self._journal}', for python -m logs.repair") from error
+            raise InputError(f"{error}; the tracks are in '{self._output.path}', for python -m logs.repair") from error
+
+    def _write_batch(self) -> None:
+        self._stream.write_batch(to_batch(self._frames), custom_metadata=self._notes.to_metadata())
+        self._output.file.flush()
+        self._frames, self._notes = [], TableNotes()
+
+
+def journal_of(path: Path) -> Path:
+    """Where the journal of a Parquet file lies."""
+    return path.with_name(path.name + ".unfinished")
 
 
 def check_table(path: Path, overwrite: bool) -> None:
@@ -91,34 +114,23 @@ def finish_journal(path: Path, out: Path, overwrite: bool = False) -> int:
         How many rows the file has.
 
     Raises:
-        InputError: a file that is no journal, or an output that exists or cannot be written; the journal stays.
+        InputError: no journal, or an output that exists or cannot be written; the journal stays.
     """
     check_new(out, overwrite)
-    unfinished = out.with_name(f".{out.name}.{os.getpid()}")
-    try:
-        with errors_of(out), unfinished.open("xb") as file:
-            rows = _write_table(path, pa.PythonFile(file, "w"))
-        check_new(out, overwrite)
-        with errors_of(out):
-            unfinished.replace(out)
-            path.unlink()
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return rows
-
-
-def _write_table(journal: Path, file: pa.NativeFile) -> int:
-    notes = TableNotes()
-    rows = 0
+    notes, rows = TableNotes(), 0
     group: list[pa.RecordBatch] = []
     options = {"compression": "zstd", "write_page_checksum": True}
-    with pq.ParquetWriter(file, SCHEMA, **options) as writer:
-        for batch in read_journal(journal, notes):
-            group.append(batch)
-            if sum(map(len, group)) >= _GROUP_ROWS:
+    with errors_of(out):
+        with whole_file(out) as file:
+            with pq.ParquetWriter(pa.PythonFile(file, "w"), SCHEMA, **options) as writer:
+                for batch in read_journal(path, notes):
+                    group.append(batch)
+                    if sum(map(len, group)) >= _GROUP_ROWS:
+                        rows += _write_group(writer, group)
                 rows += _write_group(writer, group)
-        rows += _write_group(writer, group)
-        writer.add_key_value_metadata(notes.to_metadata())
+                writer.add_key_value_metadata(notes.to_metadata())
+            check_new(out, overwrite)
+        path.unlink()
     return rows
 
 

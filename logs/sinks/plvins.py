@@ -17,14 +17,14 @@ from rosbags.typesys import Stores, get_typestore
 from airline.errors import ConfigError, InputError
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.mcap_output import McapOutput
+from logs.sinks.output import McapOutput
+from logs.tracks.json import SECOND_NS
 
 TOPIC = "/linefeature_tracker/linefeature"
 
 _TYPE = "sensor_msgs/msg/PointCloud"
 _FRAME_ID = "world"
 _NUMBERS = 2**24  # float32 has every whole number below
-_SECOND_NS = 1_000_000_000
 
 
 class PlVinsLines:
@@ -73,23 +73,15 @@ class PlVinsTrackSink:
     order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration above the rate of the
     frames.
 
-    Args:
-        path: the file.
-        overwrite: replace an existing file.
-
-    Raises:
-        InputError: the file exists or cannot be written.
-        ConfigError: a frame without a camera.
+    Arguments and errors are those of `OutputFile`; a frame without a camera is a ConfigError.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         self._store = get_typestore(Stores.ROS1_NOETIC)
         definition, _ = self._store.generate_msgdef(_TYPE, ros_version=1)
         metadata = {"lines": "normalized coordinates on the plane z = 1: start in points, number and end in channels"}
-        self._output = McapOutput(Path(path), {"airline-frontend": metadata}, profile="ros1", overwrite=overwrite)
-        self._channel = self._output.channel(
-            TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode("ascii")
-        )
+        self._output = McapOutput(Path(path), overwrite, metadata, profile="ros1")
+        self._channel = self._output.channel(TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode())
         self._lines = PlVinsLines()
         self._frames = 0
 
@@ -97,7 +89,7 @@ class PlVinsTrackSink:
         """Add one frame's tracks."""
         tracks = result.tracks
         numbers, segments = self._lines.of_frame(tracks)
-        if not 0 <= tracks.stamp_ns < 2**32 * _SECOND_NS:
+        if not 0 <= tracks.stamp_ns < 2**32 * SECOND_NS:
             raise InputError(f"ROS 1 has no time {tracks.stamp_ns} ns: it counts from 1970 to 2106")
         self._output.write(self._channel, tracks.stamp_ns, self._message(tracks, segments, numbers))
         self._output.flush_when_due()
@@ -109,7 +101,7 @@ class PlVinsTrackSink:
 
     def _message(self, tracks: LineTracks, segments: NDArray[np.float32], numbers: NDArray[np.float32]) -> bytes:
         types = self._store.types
-        seconds, nanoseconds = divmod(tracks.stamp_ns, _SECOND_NS)
+        seconds, nanoseconds = divmod(tracks.stamp_ns, SECOND_NS)
         stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
         point, channel = types["geometry_msgs/msg/Point32"], types["sensor_msgs/msg/ChannelFloat32"]
         ends = np.ascontiguousarray(segments[:, 1].T)

@@ -1,11 +1,11 @@
-"""Tracked lines as JSON: `frontend.LineTracks` with all its fields, and back, exactly.
+"""Tracked lines as JSON: every field of `frontend.LineTracks`, and back, exactly; and the JSON schema of it.
 
-Written by orjson, which gives every float32 the shortest text that reads back as the same number. JSON has no NaN:
-null stands for it. The schema, for people and for programs, is in `logs.tracks.schema`.
+orjson gives every float32 the shortest text that reads back as the same number. JSON has no NaN: null stands for it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -16,18 +16,25 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import LineTracks, TrackState
+from frontend.tracks import FIELDS, Field, LineTracks, TrackState
 
 SECOND_NS = 1_000_000_000
-_LARGEST = 3.4028235e38  # the largest float32 in its shortest form, which is a little more than it
+SCHEMA_NAME = "frontend.LineTracks"
+CONVENTIONS = {
+    "pixels": "x to the right, y down, the centre of the top-left pixel is (0, 0)",
+    "segments": "[[x0, y0], [x1, y1]]; the order of the end points is kept along a track",
+    "normalized": "undistorted coordinates (X / Z, Y / Z) on the plane z = 1 of the camera",
+    "times": "nanoseconds of the sensor",
+    "track ids": "integers that stay with a line over the frames and are never used again",
+    "states": ", ".join(f"{state.value} {state.name.lower()}" for state in TrackState),
+    "covariance": "of the fused line's errors: offset across itself at its middle (px), and angle (radians)",
+    "schema version": "1",
+}
 
 Int = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
-Count = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 Size = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-State = Annotated[int, Meta(ge=int(min(TrackState)), le=int(max(TrackState)))]
-Real = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)] | None
-Pair = tuple[Real, Real]
-Square = tuple[Pair, Pair]
+_LARGEST = 3.4028235e38  # the largest float32 in its shortest form, which is a little more than it
+_Real = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)] | None
 
 
 class Camera(msgspec.Struct):
@@ -42,122 +49,55 @@ class Camera(msgspec.Struct):
     distortion: Literal["none", "radial-tangential", "equidistant"]
     coefficients: list[float]
 
+    @classmethod
+    def of(cls, camera: CameraModel | None) -> Camera | None:
+        """What files hold of a camera."""
+        if camera is None:
+            return None
+        fx, fy, cx, cy, *coefficients = map(float, (camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients))
+        return cls(int(camera.width), int(camera.height), fx, fy, cx, cy, camera.distortion, coefficients)
+
     def model(self) -> CameraModel:
         """The camera; raises ConfigError where the numbers make none."""
         fields = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion)
         return CameraModel(*fields, np.array(self.coefficients, np.float64))
 
 
-class Time(msgspec.Struct):
-    """Seconds, rounded down, and the nanoseconds on top."""
+def assembled(
+    frame_index: int, stamp_ns: int, arrays: Mapping[str, NDArray[Any]], camera: CameraModel | None, reset: str | None
+) -> LineTracks:
+    """The tracks of these parts; arrays have the dtype and rows of their fields, and later fields may be missing.
 
-    sec: Annotated[int, Meta(ge=-(2**63) // SECOND_NS, le=(2**63 - 1) // SECOND_NS)]
-    nsec: Annotated[int, Meta(ge=0, lt=SECOND_NS)]
-
-
-class Tracks(msgspec.Struct):
-    """The fields of `LineTracks`."""
-
-    timestamp: Time
-    frame_index: Int
-    ids: list[Int]
-    segments_px: list[Square]
-    observed_px: list[Square]
-    covariances: list[Square]
-    scores: list[Real]
-    descriptors: list[list[Real]]
-    descriptor_length: Size
-    states: list[State]
-    ages: list[Count]
-    hits: list[Count]
-    line_indices: list[Count]
-    fragment_of: list[Int]
-    lost_ids: list[Int]
-    lost_segments_px: list[Square]
-    ended_ids: list[Int]
-    camera: Camera | None
-    reset: str | None
-
-    def model(self) -> LineTracks:
-        """The tracks; raises ValueError where lengths disagree, ConfigError for a camera that is none."""
-        n = len(self.ids)
-        rows = (
-            *(self.segments_px, self.observed_px, self.covariances, self.scores, self.descriptors),
-            *(self.states, self.ages, self.hits, self.line_indices, self.fragment_of),
-        )
-        if any(len(row) != n for row in rows) or len(self.lost_ids) != len(self.lost_segments_px):
+    Raises:
+        ValueError: an array is missing, or they do not fit each other.
+    """
+    complete = {}
+    counts = {"seen": arrays.get("ids", ()), "lost": arrays.get("lost_ids", ()), "ended": arrays.get("ended_ids", ())}
+    for field in FIELDS:
+        count = len(counts[field.rows])
+        if field.name in arrays:
+            complete[field.name] = arrays[field.name]
+        elif field.older is not None:
+            complete[field.name] = np.full((count, *field.shape), field.older, field.dtype)
+        else:
+            raise ValueError(f"array '{field.name}' is missing")
+        if len(complete[field.name]) != count:
             raise ValueError("its arrays have different lengths")
-        if any(len(row) != self.descriptor_length for row in self.descriptors):
-            raise ValueError("its descriptors have different lengths")
-        stamp_ns = self.timestamp.sec * SECOND_NS + self.timestamp.nsec
-        if not -(2**63) <= stamp_ns < 2**63:
-            raise ValueError("its timestamp is out of range")
-        return LineTracks(
-            frame_index=self.frame_index,
-            stamp_ns=stamp_ns,
-            ids=np.array(self.ids, np.int64),
-            segments_px=_floats(self.segments_px, n, 2, 2),
-            observed_px=_floats(self.observed_px, n, 2, 2),
-            covariances=_floats(self.covariances, n, 2, 2),
-            scores=_floats(self.scores, n),
-            descriptors=_floats(self.descriptors, n, self.descriptor_length),
-            states=np.array(self.states, np.uint8),
-            ages=np.array(self.ages, np.int32),
-            hits=np.array(self.hits, np.int32),
-            line_indices=np.array(self.line_indices, np.int32),
-            fragment_of=np.array(self.fragment_of, np.int64),
-            lost_ids=np.array(self.lost_ids, np.int64),
-            lost_segments_px=_floats(self.lost_segments_px, len(self.lost_ids), 2, 2),
-            ended_ids=np.array(self.ended_ids, np.int64),
-            camera=None if self.camera is None else self.camera.model(),
-            reset=self.reset,
-        )
-
-
-_decoder = msgspec.json.Decoder(Tracks)
-
-
-def camera_fields(camera: CameraModel | None) -> dict[str, Any] | None:
-    """What JSON holds of a camera."""
-    if camera is None:
-        return None
-    return {
-        "width": int(camera.width),
-        "height": int(camera.height),
-        **{name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
-        "distortion": camera.distortion,
-        "coefficients": [float(value) for value in camera.coefficients],
-    }
+    if (complete["states"] > max(TrackState)).any():
+        raise ValueError("a track has an unknown state")
+    return LineTracks(frame_index, stamp_ns, **complete, camera=camera, reset=reset)
 
 
 def encode_tracks(tracks: LineTracks) -> bytes:
     """One frame's tracks as a JSON object, in UTF-8."""
     sec, nsec = divmod(int(tracks.stamp_ns), SECOND_NS)
-    fields = {
-        "timestamp": {"sec": sec, "nsec": nsec},
-        "frame_index": int(tracks.frame_index),
-        "ids": tracks.ids,
-        "segments_px": tracks.segments_px,
-        "observed_px": tracks.observed_px,
-        "covariances": tracks.covariances,
-        "scores": tracks.scores,
-        "descriptors": tracks.descriptors,
-        "descriptor_length": tracks.descriptors.shape[1],
-        "states": tracks.states,
-        "ages": tracks.ages,
-        "hits": tracks.hits,
-        "line_indices": tracks.line_indices,
-        "fragment_of": tracks.fragment_of,
-        "lost_ids": tracks.lost_ids,
-        "lost_segments_px": tracks.lost_segments_px,
-        "ended_ids": tracks.ended_ids,
-        "camera": camera_fields(tracks.camera),
-        "reset": tracks.reset,
-    }
-    ordered = {
-        name: np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value for name, value in fields.items()
-    }
-    return orjson.dumps(ordered, option=orjson.OPT_SERIALIZE_NUMPY)
+    fields: dict[str, Any] = {"timestamp": {"sec": sec, "nsec": nsec}, "frame_index": int(tracks.frame_index)}
+    for field in FIELDS:
+        array = fields[field.name] = np.ascontiguousarray(getattr(tracks, field.name))
+        if field.shape == (-1,):
+            fields[_length_of(field)] = array.shape[1]
+    fields |= {"camera": Camera.of(tracks.camera), "reset": tracks.reset}
+    return orjson.dumps(fields, default=msgspec.to_builtins, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def decode_tracks(text: bytes | memoryview) -> LineTracks:
@@ -167,10 +107,90 @@ def decode_tracks(text: bytes | memoryview) -> LineTracks:
         InputError: text that is no such object, or whose arrays do not fit each other.
     """
     try:
-        return _decoder.decode(text).model()
+        found: Any = _decoder.decode(text)
+        arrays = {field.name: _array(field, found) for field in FIELDS if getattr(found, field.name) is not None}
+        stamp_ns = found.timestamp.sec * SECOND_NS + found.timestamp.nsec
+        if stamp_ns >= 2**63:
+            raise ValueError("its timestamp is out of range")
+        camera = None if found.camera is None else found.camera.model()
+        return assembled(found.frame_index, stamp_ns, arrays, camera, found.reset)
     except (msgspec.MsgspecError, ValueError, RecursionError, AirLineError) as error:
-        raise InputError(f"not a valid frontend.LineTracks: {error}") from error
+        raise InputError(f"not a valid {SCHEMA_NAME}: {error}") from error
 
 
-def _floats(values: list[Any], *shape: int) -> NDArray[np.float32]:
-    return np.array(values, np.float32).reshape(shape)  # None becomes NaN
+def _array(field: Field, found: Any) -> NDArray[Any]:
+    values, shape = getattr(found, field.name), field.shape
+    if shape == (-1,):
+        shape = (getattr(found, _length_of(field)),)
+        if any(len(row) != shape[0] for row in values):
+            raise ValueError(f"its {field.name} have different lengths")
+    return np.array(values, field.dtype).reshape(len(values), *shape)  # None becomes NaN
+
+
+def _length_of(field: Field) -> str:
+    """The key that says how long rows of any length are, such as "descriptor_length"."""
+    return f"{field.name.removesuffix('s')}_length"
+
+
+def _members() -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Key, type and JSON schema of each array."""
+    kind: Any
+    items: dict[str, Any]
+    for field in FIELDS:
+        if field.dtype.kind == "f":
+            kind, items = _Real, {"type": ["number", "null"]}
+        elif field.dtype.kind == "b":
+            kind, items = bool, {"type": "boolean"}
+        else:
+            limits = np.iinfo(field.dtype)
+            kind, items = Annotated[int, Meta(ge=int(limits.min), le=int(limits.max))], {"type": "integer"}
+        for size in reversed(field.shape):
+            kind = list[kind] if size < 0 else tuple[(kind,) * size]  # type: ignore[misc]
+            items = {"type": "array", **({} if size < 0 else {"minItems": size, "maxItems": size}), "items": items}
+        yield field.name, list[kind] | None, {"type": "array", "items": items, "description": field.text}
+        if field.shape == (-1,):
+            yield _length_of(field), Size, {"type": "integer", "minimum": 0, "description": "C"}
+
+
+def _object(description: str, properties: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"type": "object", "description": description, "required": [*properties], "properties": properties, **more}
+
+
+class _Time(msgspec.Struct):
+    """Seconds, rounded down, and the nanoseconds on top."""
+
+    sec: Annotated[int, Meta(ge=-(2**63) // SECOND_NS, le=(2**63 - 1) // SECOND_NS)]
+    nsec: Annotated[int, Meta(ge=0, lt=SECOND_NS)]
+
+
+_MEMBERS: list[Any] = [("timestamp", _Time), ("frame_index", Int), ("camera", Camera | None), ("reset", str | None)]
+_ARRAYS: list[Any] = [(name, kind) if kind is Size else (name, kind, None) for name, kind, _ in _members()]
+_decoder = msgspec.json.Decoder(msgspec.defstruct("Tracks", [*_MEMBERS, *_ARRAYS], kw_only=True))
+
+_PIXELS = {"type": "integer", "description": "of the image, px"}
+_FOCAL = {"type": "number", "description": "focal length, px"}
+_PRINCIPAL = {"type": "number", "description": "principal point, px from the centre of the top-left pixel"}
+_LENS = ["none", "radial-tangential", "equidistant"]
+_COEFFICIENTS = (
+    "radial-tangential: k1, k2, p1, p2[, k3[, k4, k5, k6]] (plumb_bob, rational_polynomial); "
+    "equidistant: k1, k2, k3, k4 (Kannala-Brandt)"
+)
+_CAMERA = {
+    **{"width": _PIXELS, "height": _PIXELS, "fx": _FOCAL, "fy": _FOCAL, "cx": _PRINCIPAL, "cy": _PRINCIPAL},
+    "distortion": {"type": "string", "enum": _LENS, "description": "model of the lens"},
+    "coefficients": {"type": "array", "items": {"type": "number"}, "description": _COEFFICIENTS},
+}
+_TIME = {"sec": {"type": "integer"}, "nsec": {"type": "integer", "minimum": 0, "maximum": SECOND_NS - 1}}
+
+SCHEMA = _object(
+    "Line segments tracked through the images of a camera: the tracks seen in one frame. Element k of every (N) array "
+    f"speaks of the same track. Pixels: {CONVENTIONS['pixels']}. Null among numbers stands for NaN.",
+    {
+        "timestamp": _object("sensor time of the image", _TIME, title="time"),
+        "frame_index": {"type": "integer", "description": "number of the frame in its source, from 0"},
+        **{name: schema for name, _, schema in _members()},
+        "camera": _object("the camera, null where unknown", _CAMERA, type=["object", "null"]),
+        "reset": {"type": ["string", "null"], "description": "why all earlier tracks ended before this frame"},
+    },
+    **{"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA_NAME},
+)

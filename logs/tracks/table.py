@@ -6,7 +6,7 @@ others. Frames without any row, and the cameras, do not fit a table: `TableNotes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -19,53 +19,48 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import LineTracks
-from logs.tracks.json import Camera, camera_fields, decode_tracks, encode_tracks
-from logs.tracks.schema import CONVENTIONS
+from frontend.tracks import FIELDS, NORMALIZED, Field, LineTracks
+from logs.tracks.json import CONVENTIONS, Camera, assembled, decode_tracks, encode_tracks
 
-_PER_FRAME = "in the first row of each frame, null in the others: "
+# The order of the first version's columns; fields that came later follow.
+_ORDER = (
+    *("ids", "segments_px", "observed_px", "segments_normalized", "scores", "ages", "hits", "states", "fragment_of"),
+    *("line_indices", "covariances", "descriptors"),
+)
+_SEEN = sorted(
+    (one for one in (*FIELDS, NORMALIZED) if one.rows == "seen"),
+    key=lambda one: _ORDER.index(one.name) if one.name in _ORDER else len(_ORDER),
+)
+_PER_FRAME = [one for one in FIELDS if one.rows != "seen"]
+_MOST_ROWS = 1_000_000  # of a frame
+_DAMAGED = "its rows are damaged"
 
-# name, type, nullable, unit, description
-_COLUMNS: list[tuple[str, pa.DataType, bool, str, str]] = [
-    ("stamp_ns", pa.int64(), False, "ns", "sensor time of the image"),
-    ("frame", pa.int64(), False, "", "number of the frame in its source, from 0"),
-    ("id", pa.int64(), False, "", "of the track; never used again"),
-    *((f"{c}{e}", pa.float32(), False, "px", f"{c} of end point {e} of the fused line") for e in "01" for c in "xy"),
-    *(
-        (f"observed_{c}{e}", pa.float32(), False, "px", f"{c} of end point {e} as detected in this frame")
-        for e in "01"
-        for c in "xy"
-    ),
-    *(
-        (f"{c}{e}", pa.float32(), True, "1", f"{d} of end point {e} of the fused line, normalized; null: no camera")
-        for e in "01"
-        for c, d in (("u", "X / Z"), ("v", "Y / Z"))
-    ),
-    ("score", pa.float32(), False, "", "of the detection, in [0, 1]"),
-    ("age", pa.int32(), False, "frames", "since the track began, 0 in its first frame"),
-    ("hits", pa.int32(), False, "frames", "in which the track was seen, this one included"),
-    ("state", pa.uint8(), False, "", CONVENTIONS["states"]),
-    ("fragment_of", pa.int64(), False, "", "id of the track whose line broke and left this piece, -1 for whole lines"),
-    ("line_index", pa.int32(), False, "", "row of the detection among the frame's lines"),
-    ("var_offset", pa.float32(), False, "px^2", "variance of the fused line's offset across itself at its middle"),
-    ("cov_offset_angle", pa.float32(), False, "px rad", "covariance of the fused line's offset and angle"),
-    ("var_angle", pa.float32(), False, "rad^2", "variance of the fused line's angle"),
-    ("descriptor", pa.list_(pa.float32()), False, "", "orientation descriptor, a unit vector"),
-    ("lost_ids", pa.list_(pa.int64()), True, "", _PER_FRAME + "confirmed tracks not seen but still looked for"),
-    ("lost_segments", pa.list_(pa.float32()), True, "px", _PER_FRAME + "where these should be, x0, y0, x1, y1 each"),
-    ("ended_ids", pa.list_(pa.int64()), True, "", _PER_FRAME + "tracks that ended with this frame"),
-    ("reset", pa.string(), True, "", _PER_FRAME + "why all earlier tracks ended, null if they did not"),
-]
+
+def _columns(one: Field) -> list[pa.Field]:
+    kind, nullable, meaning = pa.from_numpy_dtype(one.dtype), one is NORMALIZED, one.meaning
+    if one.rows != "seen":
+        nullable, meaning = True, f"in the first row of each frame, null in the others: {meaning}"
+    if one.rows != "seen" or one.shape == (-1,):
+        kind = pa.list_(kind)
+    units = dict(one.numbers)  # a name that comes twice is one column
+    return [
+        pa.field(name, kind, nullable, {**({"unit": unit} if unit else {}), "description": meaning})
+        for name, unit in units.items()
+    ]
+
 
 SCHEMA = pa.schema(
     [
-        pa.field(name, kind, nullable, {"unit": unit, "description": text} if unit else {"description": text})
-        for name, kind, nullable, unit, text in _COLUMNS
+        pa.field("stamp_ns", pa.int64(), False, {"unit": "ns", "description": "sensor time of the image"}),
+        pa.field("frame", pa.int64(), False, {"description": "number of the frame in its source, from 0"}),
+        *(column for one in (*_SEEN, *_PER_FRAME) for column in _columns(one)),
+        pa.field("reset", pa.string(), True, {"description": "in the first row of each frame: why all tracks ended"}),
     ],
     metadata={"title": "tracked line segments, one row per observation", **CONVENTIONS},
 )
-
-_POINTS = ("x0", "y0", "x1", "y1")
+FRAME_COLUMNS = [name for one in _PER_FRAME for name, _ in one.numbers] + ["reset"]
+_LATER = {name for one in FIELDS if one.older is not None for name, _ in one.numbers}
+_DERIVED = {name for name, _ in NORMALIZED.numbers}
 
 
 @dataclass
@@ -82,9 +77,12 @@ class TableNotes:
 
     def to_metadata(self) -> dict[str, bytes]:
         """As JSON texts."""
-        cameras = [{"from": place, "camera": camera_fields(camera)} for place, camera in self.cameras.items()]
+        cameras = [{"from": place, "camera": Camera.of(camera)} for place, camera in self.cameras.items()]
         empty = [{"place": place, "tracks": orjson.Fragment(encode_tracks(t))} for place, t in self.empty.items()]
-        return {"cameras": orjson.dumps(cameras), "frames without rows": orjson.dumps(empty)}
+        return {
+            "cameras": orjson.dumps(cameras, default=msgspec.to_builtins),
+            "frames without rows": orjson.dumps(empty),
+        }
 
     def add(self, metadata: Any) -> None:
         """Add what `to_metadata` of another gave; raises InputError for anything else."""
@@ -114,51 +112,31 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
     frames = [tracks for tracks in frames if len(tracks)]
     counts = [len(tracks) for tracks in frames]
 
-    def joined(name: str, dtype: Any, *shape: int) -> NDArray[Any]:
-        parts = [np.asarray(getattr(tracks, name), dtype) for tracks in frames]
-        return np.concatenate([np.empty((0, *shape), dtype), *parts])
+    def in_first_rows(values: Iterable[Any]) -> list[Any]:
+        return [cell for value, count in zip(values, counts, strict=True) for cell in (value, *[None] * (count - 1))]
 
-    def repeated(name: str) -> NDArray[np.int64]:
-        return np.repeat(np.array([getattr(tracks, name) for tracks in frames], np.int64), counts)
-
-    def in_first_rows(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-        column: list[Any] = []
-        for value, count in zip(values, counts, strict=True):
-            column += [value, *[None] * (count - 1)]
-        return pa.array(column, kind)
-
-    points = {"": joined("segments_px", np.float32, 2, 2), "observed_": joined("observed_px", np.float32, 2, 2)}
-    covariances = joined("covariances", np.float32, 2, 2)
-    lengths = np.repeat(np.array([tracks.descriptors.shape[1] for tracks in frames], np.int64), counts)
-    descriptors = [np.asarray(tracks.descriptors, np.float32).ravel() for tracks in frames]
-    columns = {
-        "stamp_ns": repeated("stamp_ns"),
-        "frame": repeated("frame_index"),
-        "id": joined("ids", np.int64),
-        **{prefix + _POINTS[k]: value.reshape(-1, 4)[:, k] for prefix, value in points.items() for k in range(4)},
+    columns: dict[str, Any] = {
+        "stamp_ns": np.repeat(np.array([tracks.stamp_ns for tracks in frames], np.int64), counts),
+        "frame": np.repeat(np.array([tracks.frame_index for tracks in frames], np.int64), counts),
+        "reset": in_first_rows(tracks.reset for tracks in frames),
         **_normalized(frames, sum(counts)),
-        "score": joined("scores", np.float32),
-        "age": joined("ages", np.int32),
-        "hits": joined("hits", np.int32),
-        "state": joined("states", np.uint8),
-        "fragment_of": joined("fragment_of", np.int64),
-        "line_index": joined("line_indices", np.int32),
-        "var_offset": covariances[:, 0, 0],
-        "cov_offset_angle": covariances[:, 0, 1],
-        "var_angle": covariances[:, 1, 1],
-        "descriptor": pa.ListArray.from_arrays(
-            pa.array(np.cumsum([0, *lengths]), pa.int32()), np.concatenate([np.empty(0, np.float32), *descriptors])
-        ),
-        "lost_ids": in_first_rows([tracks.lost_ids for tracks in frames], pa.list_(pa.int64())),
-        "lost_segments": in_first_rows([tracks.lost_segments_px.ravel() for tracks in frames], pa.list_(pa.float32())),
-        "ended_ids": in_first_rows([tracks.ended_ids for tracks in frames], pa.list_(pa.int64())),
-        "reset": in_first_rows([tracks.reset for tracks in frames], pa.string()),
     }
-    return pa.record_batch([pa.array(columns[name], kind) for name, kind, *_ in _COLUMNS], schema=SCHEMA)
+    for one in FIELDS:
+        names = [name for name, _ in one.numbers]
+        values = [np.asarray(getattr(tracks, one.name), one.dtype) for tracks in frames]
+        flat = np.concatenate([np.empty(0, one.dtype), *(value.ravel() for value in values)])
+        if one.rows != "seen":
+            columns[names[0]] = in_first_rows(value.ravel() for value in values)
+        elif one.shape == (-1,):
+            ends = np.cumsum([0, *np.repeat(np.array([value.shape[1] for value in values], np.int64), counts)])
+            columns[names[0]] = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
+        else:
+            columns |= zip(names, flat.reshape(-1, len(names)).T, strict=True)
+    return pa.record_batch([pa.array(columns[one.name], one.type) for one in SCHEMA], schema=SCHEMA)
 
 
 def _normalized(frames: Sequence[LineTracks], rows: int) -> dict[str, pa.Array]:
-    """The columns u0, v0, u1, v1."""
+    """The columns of `segments_normalized`; each camera is asked once."""
     points = np.zeros((rows, 4), np.float32)
     unknown = np.zeros(rows, np.bool_)
     end = 0
@@ -170,4 +148,109 @@ def _normalized(frames: Sequence[LineTracks], rows: int) -> dict[str, pa.Array]:
             unknown[start:end] = True
         else:
             points[start:end] = camera.normalize(np.concatenate(segments)).reshape(-1, 4)
-    return {name: pa.array(points[:, k], mask=unknown) for k, name in enumerate(("u0", "v0", "u1", "v1"))}
+    return {name: pa.array(points[:, k], mask=unknown) for k, (name, _) in enumerate(NORMALIZED.numbers)}
+
+
+def needed_columns(schema: pa.Schema) -> list[str]:
+    """What `read_frames` takes of a table; raises InputError for one that has not our columns."""
+    needed = [name for name in SCHEMA.names if name not in _DERIVED and (name not in _LATER or name in schema.names)]
+    for name in needed:
+        if schema.names.count(name) != 1 or schema.field(name).type != SCHEMA.field(name).type:
+            raise InputError(
+                f"it has no column '{name}' of type {SCHEMA.field(name).type}: these are no tracks of ours"
+            )
+    return needed
+
+
+def read_frames(batches: Iterable[pa.RecordBatch], notes: TableNotes) -> Iterator[LineTracks]:
+    """Frames of a table in the order in which they were written.
+
+    Args:
+        batches: the table's rows in order, cut anywhere, with the `needed_columns`.
+        notes: what the table cannot hold; those on a frame must be there before its rows are.
+
+    Raises:
+        InputError: rows or notes that this program did not write.
+    """
+    place, camera = 0, None
+    for index, stamp_ns, arrays, reset in _frames_with_rows(batches):
+        while place in notes.empty:
+            yield notes.empty.pop(place)
+            camera = notes.cameras.get(place, camera)
+            place += 1
+        camera = notes.cameras.get(place, camera)
+        place += 1
+        try:
+            yield assembled(index, stamp_ns, arrays, camera, reset)
+        except ValueError as error:
+            raise InputError(f"{_DAMAGED}: {error}") from error
+    for last in sorted(notes.empty):
+        yield notes.empty.pop(last)
+
+
+_Frame = tuple[int, int, dict[str, NDArray[Any]], str | None]
+
+
+def _frames_with_rows(batches: Iterable[pa.RecordBatch]) -> Iterator[_Frame]:
+    """Index, stamp, arrays and reset of every frame that has rows."""
+    rest: list[pa.RecordBatch] = []
+    for batch in batches:
+        if not len(batch):
+            continue
+        starts = np.flatnonzero(batch.column("lost_ids").is_valid())
+        if not rest and not (len(starts) and starts[0] == 0):
+            raise InputError(f"{_DAMAGED}: the first is not the first of a frame")
+        if len(starts):
+            yield from _split(pa.Table.from_batches([*rest, batch.slice(0, starts[-1])]))
+            rest = []
+        rest.append(batch.slice(starts[-1] if len(starts) else 0))
+        if sum(map(len, rest)) > _MOST_ROWS:
+            raise InputError(f"{_DAMAGED}: a frame has more than {_MOST_ROWS} rows")
+    if rest:
+        yield from _split(pa.Table.from_batches(rest))
+
+
+def _split(rows: pa.Table) -> Iterator[_Frame]:
+    """Some whole frames."""
+    columns = {name: rows.column(name).combine_chunks() for name in rows.column_names}
+    starts = np.flatnonzero(columns["lost_ids"].is_valid())
+    frames, stamps = _numbers(columns["frame"]), _numbers(columns["stamp_ns"])
+    fixed, open_rows = {}, {}
+    for one in FIELDS:
+        names = [name for name, _ in one.numbers]
+        if one.rows != "seen" or names[0] not in columns:
+            continue
+        if one.shape == (-1,):
+            lists = columns[names[0]]
+            lengths = _numbers(lists.value_lengths())  # null for a list that is
+            open_rows[one.name] = _numbers(lists.flatten()), lengths, np.concatenate([[0], np.cumsum(lengths)])
+        else:
+            fixed[one.name] = np.stack([_numbers(columns[name]) for name in names], 1).reshape(-1, *one.shape)
+    for start, end in zip(starts, [*starts, len(rows)][1:], strict=True):
+        own = slice(start, end)
+        if any(
+            (values[own] != values[start]).any() for values in (frames, stamps, *(o[1] for o in open_rows.values()))
+        ):
+            raise InputError(f"{_DAMAGED}: those of one frame disagree")
+        arrays = {name: values[own].copy() for name, values in fixed.items()}
+        for name, (values, lengths, ends) in open_rows.items():
+            arrays[name] = values[ends[start] : ends[end]].reshape(end - start, lengths[start]).copy()
+        for one in _PER_FRAME:
+            if (name := one.numbers[0][0]) in columns:
+                arrays[one.name] = _list(columns[name][start], one)
+        yield int(frames[start]), int(stamps[start]), arrays, columns["reset"][start].as_py()
+
+
+def _numbers(column: pa.Array) -> NDArray[Any]:
+    if column.null_count:
+        raise InputError(f"{_DAMAGED}: numbers are missing")
+    return column.to_numpy(zero_copy_only=False)  # type: ignore[no-any-return]
+
+
+def _list(value: pa.ListScalar, one: Field) -> NDArray[Any]:
+    if not value.is_valid:
+        raise InputError(f"{_DAMAGED}: lists are missing")
+    numbers = _numbers(value.values)
+    if numbers.size % max(1, int(np.prod(one.shape))):
+        raise InputError(f"{_DAMAGED}: lines are not whole")
+    return numbers.reshape(-1, *one.shape).copy()

@@ -13,6 +13,7 @@ from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel
 from frontend.history import Observations, TrackHistory
 from frontend.tracks import LineTracks
+from tests.helpers.made_tracks import blank_tracks
 
 CAMERA = CameraModel(640, 480, 500, 500, 320, 240, "radial-tangential", np.array([-0.28, 0.07, 2e-4, 2e-5]))
 
@@ -32,21 +33,15 @@ def tracks_of(
     camera: CameraModel | None = None,
     reset: str | None = None,
 ) -> LineTracks:
-    count, segments = len(ids), segments_of(frame, ids)
-    return LineTracks(
+    segments = segments_of(frame, ids)
+    return blank_tracks(
+        len(ids),
         frame_index=frame,
         stamp_ns=frame * 33_000_000,
         ids=np.array(ids, np.int64),
         segments_px=segments,
         observed_px=segments + 0.25,
-        covariances=np.zeros((count, 2, 2), np.float32),
-        scores=np.full(count, 0.5, np.float32) + np.float32(frame) / 1000,
-        descriptors=np.zeros((count, 6), np.float32),
-        states=np.ones(count, np.uint8),
-        ages=np.zeros(count, np.int32),
-        hits=np.ones(count, np.int32),
-        line_indices=np.arange(count, dtype=np.int32),
-        fragment_of=np.full(count, -1, np.int64),
+        scores=np.full(len(ids), 0.5, np.float32) + np.float32(frame) / 1000,
         ended_ids=np.array(ended, np.int64),
         camera=camera,
         reset=reset,
@@ -98,19 +93,14 @@ def test_ended_tracks_are_handed_out_once_and_whole() -> None:
     history = TrackHistory()
     history.add(tracks_of(0, [1, 2, 3]))
     history.add(tracks_of(1, [1, 2], ended=(3, 99)))
-    history.add(tracks_of(2, [1], ended=(2,)))
+    history.add(tracks_of(2, [1, 5], ended=(2, 5)))
     assert history.observations_of(3).ended
     assert not history.observations_of(1).ended
-    assert [(track.track_id, len(track), track.ended) for track in history.pop_ended()] == [(3, 1, True), (2, 2, True)]
+    ended = [(track.track_id, len(track), track.ended) for track in history.pop_ended()]
+    assert ended == [(3, 1, True), (2, 2, True), (5, 1, True)], "5 ended in the frame it was seen in"
     assert history.pop_ended() == []
     assert history.ids.tolist() == [1]
     assert len(history) == 1
-
-
-def test_a_track_may_end_in_the_frame_it_is_seen_in() -> None:
-    history = TrackHistory()
-    history.add(tracks_of(0, [5], ended=(5,)))
-    assert [len(track) for track in history.pop_ended()] == [1]
 
 
 def test_a_reset_ends_every_track_before_it() -> None:
@@ -130,11 +120,10 @@ def test_an_unknown_track_is_one_clear_error() -> None:
     assert len(history.observations_of(2)) == 1
 
 
-def test_impossible_bounds_are_refused() -> None:
+@pytest.mark.parametrize("bound", ["max_frames", "max_tracks"])
+def test_impossible_bounds_are_refused(bound: str) -> None:
     with pytest.raises(ConfigError, match="at least 1"):
-        TrackHistory(max_frames=0)
-    with pytest.raises(ConfigError, match="at least 1"):
-        TrackHistory(max_tracks=0)
+        TrackHistory(**{bound: 0})
 
 
 def test_ended_tracks_are_dropped_before_those_that_live() -> None:

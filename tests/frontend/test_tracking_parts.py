@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import linear_sum_assignment
 
 from airline.stages.split_regions import residual, split_regions
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
-from frontend.tracking.borders import clip
-from frontend.tracking.fragments import absorbed, parents
-from frontend.tracking.fusion import fuse, line_covariances, predicted_covariances
+from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances
 from frontend.tracking.motion import predict_segments, warp, working_image
-from frontend.tracking.overlap import LineFeatures, overlap_votes
+from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
 from tests.helpers.tracking_frames import frame, line_set, texture
 
 LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
@@ -161,19 +158,18 @@ def test_votes_prefer_the_line_that_looks_alike():
 # ---- assignment
 
 
-@settings(max_examples=200, deadline=None)
-@given(arrays(np.float32, st.tuples(st.integers(0, 5), st.integers(0, 5)), elements=st.floats(0, 1, width=16)))
-def test_assignment_is_the_best_of_all(matrix):
-    least = 0.25
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 150), st.integers(0, 170), st.sampled_from([0.005, 0.02, 0.2, 1.0]), st.integers(0, 999))
+def test_assignment_is_the_best_of_all(rows, columns, density, seed):
+    rng, least = np.random.default_rng(seed), 0.1
+    matrix = rng.random((rows, columns)).astype(np.float32) * (rng.random((rows, columns)) < density)
     chosen = assign(matrix, least)
-    rows, columns = matrix.shape
     taken = chosen[chosen >= 0]
     assert len(set(taken.tolist())) == len(taken)
-    worth = np.where(matrix >= least, matrix, 0).astype(np.float64)
-    padded = np.hstack([worth, np.zeros((rows, rows))])
-    best = max(sum(padded[i, j] for i, j in enumerate(order)) for order in permutations(range(columns + rows), rows))
-    assert sum(matrix[i, j] for i, j in enumerate(chosen) if j >= 0) == pytest.approx(best, abs=1e-6)
-    assert all(matrix[i, j] >= least for i, j in enumerate(chosen) if j >= 0)
+    pairs = matrix[np.flatnonzero(chosen >= 0), taken]
+    assert (pairs >= least).all()
+    worth = np.where(matrix >= least, matrix, 0)
+    assert pairs.sum() == pytest.approx(worth[linear_sum_assignment(worth, maximize=True)].sum(), rel=1e-5)
 
 
 def test_assignment_leaves_masked_rows_and_columns_alone():
@@ -183,35 +179,7 @@ def test_assignment_leaves_masked_rows_and_columns_alone():
     assert assign(matrix, 0.1, columns=np.array([False, True, True])).tolist() == [2, 1]
 
 
-def test_assignment_agrees_with_scipy_on_many_lines():
-    from scipy.optimize import linear_sum_assignment
-
-    rng = np.random.default_rng(4)
-    for density in (0.005, 0.02, 0.2):
-        matrix = rng.random((150, 170)).astype(np.float32) * (rng.random((150, 170)) < density)
-        chosen = assign(matrix, 0.1)
-        worth = np.where(matrix >= 0.1, matrix, 0)
-        best = worth[linear_sum_assignment(worth, maximize=True)].sum()
-        assert worth[np.flatnonzero(chosen >= 0), chosen[chosen >= 0]].sum() == pytest.approx(best, rel=1e-5)
-
-
 # ---- fusion
-
-
-def test_fusing_equal_lines_halves_their_variance():
-    line, errors = LINES[:1], line_covariances(LINES[:1], None)
-    fused, covariance = fuse(line, errors, line, errors, (200, 160))
-    assert np.allclose(fused, line, atol=1e-4)
-    assert np.allclose(covariance, errors / 2, rtol=1e-4)
-
-
-def test_fusion_weighs_by_the_covariances():
-    predicted = np.array([[[20, 50], [120, 50]]], np.float32)
-    measured = predicted + np.float32([0, 1])
-    errors = line_covariances(predicted, None)
-    for factor, expected in ((1.0, 50.5), (4.0, 50.2), (1e-6, 51.0)):
-        fused, _ = fuse(predicted, errors, measured, np.float32(factor) * errors, (200, 160))
-        assert np.allclose(fused[0, :, 1], expected, atol=1e-3)
 
 
 @settings(max_examples=60, deadline=None)

@@ -17,7 +17,7 @@ TRACK = """
 import numpy as np
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
-from frontend.tracking import appearance, assignment, borders, fragments, fusion, overlap
+from frontend.tracking import appearance, assignment, fusion, overlap
 from airline import AirLine, LineSet
 from airline.stages import extend_ends, fit, refine, score_parts
 from airline.config import DetectorConfig, EdgeConfig
@@ -30,7 +30,7 @@ image = rng.integers(0, 256, (200, 200), np.uint8)
 tracker = LineTracker()
 for index in range(3):
     tracker.update(Frame(index, index, image), lines)
-kernels = [kernel for module in (appearance, assignment, borders, fragments, fusion, overlap)
+kernels = [kernel for module in (appearance, assignment, fusion, overlap)
            for kernel in vars(module).values() if hasattr(kernel, "stats")]
 AirLine(config=settings)(image)
 kernels += [kernel for module in (extend_ends, score_parts, refine) for kernel in vars(module).values()

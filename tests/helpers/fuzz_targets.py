@@ -121,7 +121,7 @@ def _tracks(folder: Path, name: str, journal: bool = False) -> list[bytes]:
     for number in range(4):
         sink.write(result_of(_frame(number, 3 * (number % 2))))
     if journal:
-        sink._writer.flush()
+        sink.flush()
         data = (folder / f"{name}.unfinished").read_bytes()
     sink.close()
     return [data if journal else (folder / name).read_bytes()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import cache
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -14,7 +15,7 @@ from airline.trace import Trace
 from frontend import CameraModel, Frame, LineFrontend
 from frontend.protocols import FrameResult
 from frontend.sources.scene import SceneSource
-from frontend.tracks import LineTracks
+from frontend.tracks import FIELDS, LineTracks
 
 CAMERA = CameraModel(320, 240, 250.5, 251.25, 159.7, 119.9, "radial-tangential", np.array([-0.28, 0.07, 2e-4, 2e-5]))
 FISHEYE = CameraModel(320, 240, 200.0, 201.0, 160.1, 120.3, "equidistant", np.array([-0.01, 0.02, -0.01, 0.002]))
@@ -40,6 +41,17 @@ def result_of(tracks: LineTracks) -> FrameResult:
     return FrameResult(Frame(tracks.frame_index, tracks.stamp_ns, image, tracks.camera), trace, tracks, {})
 
 
+def blank_tracks(count: int, *, frame_index: int = 0, stamp_ns: int = 0, **given: Any) -> LineTracks:
+    """Tracks whose arrays are zero but for those given; ids 0, 1, ..., whole lines, descriptors of length 6."""
+    arrays = {
+        field.name: np.zeros((count, *(6 if n < 0 else n for n in field.shape)), field.dtype)
+        for field in FIELDS
+        if field.rows == "seen"
+    }
+    arrays |= {"ids": np.arange(count), "fragment_of": np.full(count, -1), **given}
+    return LineTracks(frame_index, stamp_ns, **arrays)
+
+
 def made_tracks(
     frame: int,
     stamp_ns: int,
@@ -52,37 +64,20 @@ def made_tracks(
     reset: str | None = None,
     length: int = 6,
 ) -> LineTracks:
-    """Random tracks with these ids, in an image of 320 x 240 px."""
-    ids = np.sort(np.asarray(ids, np.int64))
-    n = len(ids)
-
-    def segments(count: int) -> np.ndarray:
-        return (rng.random((count, 2, 2)) * (319, 239)).astype(np.float32)
-
-    root = rng.normal(size=(n, 2, 2))
-    covariances = (root @ root.transpose(0, 2, 1)).astype(np.float32)
-    covariances[:, 1, 0] = covariances[:, 0, 1]
-    descriptors = rng.normal(size=(n, length)).astype(np.float32)
-    return LineTracks(
-        frame_index=frame,
-        stamp_ns=stamp_ns,
-        ids=ids,
-        segments_px=segments(n),
-        observed_px=segments(n),
-        covariances=covariances,
-        scores=rng.random(n).astype(np.float32),
-        descriptors=descriptors,
-        states=rng.integers(0, 2, n).astype(np.uint8),
-        ages=rng.integers(0, 2**31 - 1, n).astype(np.int32),
-        hits=rng.integers(0, 2**31 - 1, n).astype(np.int32),
-        line_indices=rng.permutation(n).astype(np.int32),
-        fragment_of=np.where(rng.random(n) < 0.2, rng.integers(0, 2**62, n), -1),
-        lost_ids=np.sort(rng.integers(0, 2**62, lost)),
-        lost_segments_px=segments(lost),
-        ended_ids=np.sort(rng.integers(0, 2**62, ended)),
-        camera=camera,
-        reset=reset,
-    )
+    """Random tracks with these ids, in an image of 320 x 240 px; every field of the table has numbers."""
+    counts = {"seen": len(ids), "lost": lost, "ended": ended}
+    arrays: dict[str, Any] = {}
+    for field in FIELDS:
+        shape = (counts[field.rows], *(length if n < 0 else n for n in field.shape))
+        if field.dtype.kind == "f":
+            values = rng.random(shape) * ((319, 239) if field.shape == (2, 2) else 1)
+        else:
+            values = rng.integers(0, 2 if field.dtype.itemsize == 1 else np.iinfo(field.dtype).max, shape)
+        arrays[field.name] = values.astype(field.dtype)
+    arrays["ids"] = np.sort(np.asarray(ids, np.int64))
+    arrays["covariances"][:, 1, 0] = arrays["covariances"][:, 0, 1]
+    arrays["fragment_of"][rng.random(len(ids)) < 0.8] = -1
+    return LineTracks(frame, stamp_ns, **arrays, camera=camera, reset=reset)
 
 
 @st.composite

@@ -12,7 +12,8 @@ from airline.trace import Trace
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
-from frontend.tracks import LineTracks, TrackState
+from frontend.tracks import TrackState
+from tests.helpers.made_tracks import blank_tracks
 
 WIDTH, HEIGHT = 320, 240
 STEP_NS = 33_333_333
@@ -54,10 +55,10 @@ def frame_results(count: int, first_stamp_ns: int = 0, dtype: type = np.uint8) -
         cv2.fillPoly(image, [np.rint(segments[:, 0]).astype(np.int32)], (150, 150, 150))
         stamp = first_stamp_ns + k * STEP_NS
         trace = trace_of(segments)
-        tracks = LineTracks(
+        tracks = blank_tracks(
+            4,
             frame_index=k,
             stamp_ns=stamp,
-            ids=np.arange(4, dtype=np.int64),
             segments_px=segments,
             observed_px=segments,
             covariances=np.tile(np.diag([0.04, 1e-4]).astype(np.float32), (4, 1, 1)),
@@ -67,7 +68,6 @@ def frame_results(count: int, first_stamp_ns: int = 0, dtype: type = np.uint8) -
             ages=np.full(4, k, np.int32),
             hits=np.full(4, k + 1, np.int32),
             line_indices=np.arange(4, dtype=np.int32),
-            fragment_of=np.full(4, -1),
             camera=CAMERA,
             reset="the camera was covered" if k == RESET_FRAME else None,
         )

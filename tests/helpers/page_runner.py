@@ -98,7 +98,9 @@ def run_python(text: str, given: dict[str, Any]) -> str | None:
         return run_command("python block.py")
     address = re.search(r"subscribe_tracks\(\"(\S+?)\"", text)
     if address:
-        threading.Thread(target=publish, args=(address[1],), daemon=True).start()
+        from tests.helpers.made_tracks import clip_results
+
+        threading.Thread(target=publish, args=(address[1], clip_results()[:3]), daemon=True).start()
     try:
         with redirect_stdout(io.StringIO()):
             exec(compile(text, "block", "exec"), given)
@@ -107,13 +109,12 @@ def run_python(text: str, given: dict[str, Any]) -> str | None:
     return None
 
 
-def publish(address: str) -> None:
+def publish(address: str, results: list[Any]) -> None:
     """A run at the other end of the live stream."""
-    from logs.live.address import open_publisher
-    from tests.helpers.made_tracks import clip_results
+    from logs.sinks.open import open_publisher
 
     publisher = open_publisher(address, "clip")
-    for result in clip_results()[:3]:
+    for result in results:
         publisher.write(result)
     publisher.close()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import cv2
@@ -43,14 +44,17 @@ def read_neighbours(folder):
     return {int(part[0][6:]): [int(k) for k in part[1:]] for part in parts}
 
 
+def write(folder, stream, **options):
+    with closing(LimapTrackSink(folder, **options)) as sink:
+        for tracks in stream:
+            sink.write(result_of(tracks))
+    return folder
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("out") / "limap"
-    sink = LimapTrackSink(folder)
-    for result in clip_results():
-        sink.write(result)
-    sink.close()
-    return folder
+    return write(folder, [result.tracks for result in clip_results()])
 
 
 def test_segments_have_their_origin_at_the_pixels_corner(folder):
@@ -100,9 +104,7 @@ def test_matches_are_complete_while_it_runs(tmp_path):
 
 def test_lines_are_undistorted_for_the_camera_in_the_folder(tmp_path):
     tracks = made_tracks(0, 0, np.arange(30), np.random.default_rng(0))
-    sink = LimapTrackSink(tmp_path / "limap")
-    sink.write(result_of(tracks))
-    sink.close()
+    write(tmp_path / "limap", [tracks])
     camera_id, model, *numbers = (tmp_path / "limap/cameras.txt").read_text().split()
     assert (camera_id, model) == ("1", "PINHOLE")
     width, height, fx, fy, cx, cy = map(float, numbers)
@@ -119,38 +121,34 @@ def test_lines_that_cannot_be_undistorted_are_left_out(tmp_path):
     rng = np.random.default_rng(0)
     stream = [made_tracks(k, k, np.arange(5), rng, camera=camera) for k in range(2)]
     stream[0].segments_px[2, 1] = 1e5
-    sink = LimapTrackSink(tmp_path / "limap")
-    for tracks in stream:
-        sink.write(result_of(tracks))
-    sink.close()
+    write(tmp_path / "limap", stream)
     assert len(read_segments(tmp_path / "limap")[0]) == 4
     assert read_matches(tmp_path / "limap", 0)[1].tolist() == [[0, 0], [1, 1], [2, 3], [3, 4]]
 
 
-def test_files_of_an_earlier_run_go_and_others_stay(tmp_path, folder):
-    rng = np.random.default_rng(0)
-    for frames, overwrite in ((5, False), (2, True)):
-        sink = LimapTrackSink(tmp_path / "limap", overwrite=overwrite)
-        (tmp_path / "limap/notes.txt").write_text("mine")
-        for k in range(frames):
-            sink.write(result_of(made_tracks(k, k, np.arange(3), rng)))
-        sink.close()
+def test_files_of_an_earlier_run_go_and_others_stay(tmp_path):
+    stream = [made_tracks(k, k, np.arange(3), np.random.default_rng(0)) for k in range(5)]
+    write(tmp_path / "limap", stream)
+    (tmp_path / "limap/notes.txt").write_text("mine")
+    write(tmp_path / "limap", stream[:2], overwrite=True)
     assert read_segments(tmp_path / "limap").keys() == {0, 1}
     assert set(read_neighbours(tmp_path / "limap")) == {0, 1}
     assert (tmp_path / "limap/notes.txt").read_text() == "mine"
 
 
-def test_what_the_layout_cannot_hold(tmp_path):
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize(
+    ("frame", "camera", "complaint"),
+    [(5, replace(CAMERA, fx=3.0), "camera changes"), (4, CAMERA, "frame 4 follows frame 4")],
+)
+def test_what_the_layout_cannot_hold(tmp_path, frame, camera, complaint):
+    stream = [
+        made_tracks(number, number, np.arange(3), np.random.default_rng(0), camera=one)
+        for number, one in ((4, CAMERA), (frame, camera))
+    ]
+    with pytest.raises(InputError, match=complaint):
+        write(tmp_path / "limap", stream)
+
+
+def test_neighbours_come_in_pairs(tmp_path):
     with pytest.raises(ConfigError, match="even"):
         LimapTrackSink(tmp_path / "a", neighbours=3)
-    sink = LimapTrackSink(tmp_path / "limap")
-    sink.write(result_of(made_tracks(4, 0, np.arange(3), rng)))
-    with pytest.raises(InputError, match="camera changes"):
-        sink.write(result_of(made_tracks(5, 1, np.arange(3), rng, camera=replace(CAMERA, fx=3.0))))
-    sink.close()
-    sink = LimapTrackSink(tmp_path / "limap", overwrite=True)
-    sink.write(result_of(made_tracks(4, 0, np.arange(3), rng)))
-    with pytest.raises(InputError, match="frame 4 follows frame 4"):
-        sink.write(result_of(made_tracks(4, 1, np.arange(3), rng)))
-    sink.close()

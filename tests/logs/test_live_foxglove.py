@@ -8,21 +8,15 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
-from logs.live.address import open_publisher
 from logs.live.foxglove import FoxgloveServer
-from logs.sinks.foxglove import schema_of
+from logs.sinks.mcap_tracks import TOPICS, message_for
+from logs.sinks.open import open_publisher
 from logs.tracks.json import decode_tracks
 from tests.helpers.foxglove_client import FoxgloveClient
 from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of
-
-TOPICS = ("/camera/calibration", "/camera/image", "/lines/annotations", "/lines/tracks")
 
 
 @pytest.fixture
@@ -49,15 +43,11 @@ def write_until_seen(server: FoxgloveServer, client: FoxgloveClient, result, mes
 def test_channels_are_those_of_the_file(server: FoxgloveServer) -> None:
     with closing(FoxgloveClient(server.address)) as client:
         assert client.info["name"] == "clip"
-        kinds = {topic: (one["schemaName"], one["encoding"]) for topic, one in client.channels.items()}
-        assert kinds == {
-            "/camera/calibration": ("foxglove.CameraCalibration", "protobuf"),
-            "/camera/image": ("foxglove.CompressedImage", "protobuf"),
-            "/lines/annotations": ("foxglove.ImageAnnotations", "protobuf"),
-            "/lines/tracks": ("frontend.LineTracks", "json"),
-        }
-        schema = base64.b64decode(client.channels["/camera/image"]["schema"])
-        assert schema == schema_of(CompressedImage)
+        assert client.channels.keys() == TOPICS.keys()
+        for name, channel in client.channels.items():
+            topic = TOPICS[name]
+            assert (channel["schemaName"], channel["encoding"]) == (topic.schema_name, topic.encoding)
+        assert base64.b64decode(client.channels["/camera/image"]["schema"]) == TOPICS["/camera/image"].schema
 
 
 def test_a_viewer_gets_lines_image_and_camera(server: FoxgloveServer) -> None:
@@ -69,17 +59,8 @@ def test_a_viewer_gets_lines_image_and_camera(server: FoxgloveServer) -> None:
     assert {log_ns for log_ns, _ in found.values()} == {tracks.stamp_ns}
     contents = {topic: data for topic, (_, data) in found.items()}
     assert_same(decode_tracks(contents["/lines/tracks"]), tracks)
-    (lines,) = ImageAnnotations.FromString(contents["/lines/annotations"]).points
-    points = np.array([[point.x, point.y] for point in lines.points])
-    np.testing.assert_allclose(points, tracks.segments_px.reshape(-1, 2) + 0.5, atol=1e-4)
-    texts = ImageAnnotations.FromString(contents["/lines/annotations"]).texts
-    assert [text.text for text in texts] == [str(track) for track in tracks.ids[tracks.confirmed]]
-    assert tracks.camera is not None
-    assert CameraCalibration.FromString(contents["/camera/calibration"]).K[0] == tracks.camera.fx
-    data = np.frombuffer(CompressedImage.FromString(contents["/camera/image"]).data, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    assert image.shape == result.frame.image.shape
-    assert np.abs(image.astype(int) - result.frame.image).mean() < 5
+    for topic in TOPICS:  # what the file would hold, whose content test_track_mcap looks at
+        assert contents[topic] == message_for(topic, result, labels=True)
 
 
 def test_only_what_is_looked_at_is_sent(server: FoxgloveServer) -> None:
@@ -110,9 +91,7 @@ def test_a_viewer_that_never_reads_or_is_gone_stops_nothing(server: FoxgloveServ
     gone.subscribe(*TOPICS)
     time.sleep(0.2)
     gone.close()
-    begin = time.monotonic()
     for _ in range(100):
         server.write(result)
     server.close()
-    assert time.monotonic() - begin < 30
     client.close()

@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 import zmq
 
-from airline.errors import AirLineError, ConfigError, InputError
+from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs import subscribe_tracks
-from logs.live.address import Address, open_publisher, parse_address
-from logs.live.message import encode_end, encode_frame
+from logs.live.address import Address, parse_address
+from logs.live.message import encode
 from logs.live.zeromq import ZmqPublisher
-from tests.helpers.made_tracks import CAMERA, assert_all_same, clip_results, made_tracks, result_of
+from logs.sinks.open import open_publisher
+from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks, result_of
 
 LOCAL = "tcp://127.0.0.1:0"
 
@@ -90,19 +91,6 @@ def test_waiting_consumers_get_every_frame_exactly(kind: str, tmp_path: Path) ->
         assert list(subscription) == [], "it has closed itself"
 
 
-def test_times_tell_how_old_a_message_is() -> None:
-    (result, *_) = clip_results()
-    with closing(publisher()) as source, subscribe_tracks(source.address) as subscription:
-        source.write(result)
-        before = time.time_ns()
-        next(iter(subscription))
-        message = subscription.latest
-        assert message is not None
-        assert message.read_ns == result.read_ns
-        assert message.read_ns < message.sent_ns <= before <= time.time_ns()
-        assert message.image_size == (320, 240)
-
-
 def test_who_comes_late_gets_what_comes_from_then_on() -> None:
     stream = frames(60)
     with closing(publisher()) as source:
@@ -113,27 +101,22 @@ def test_who_comes_late_gets_what_comes_from_then_on() -> None:
             found = [next(iter(late)) for _ in range(10)]
             thread.join()
     first = found[0].frame_index
-    assert 10 <= first < 50
+    assert first >= 10
     assert_all_same(found, stream[first : first + 10])
     assert late.lost == 0
-    assert found[0].camera is not None
-    assert found[0].camera.width == CAMERA.width
+    assert late.latest is not None
+    assert late.latest.read_ns <= late.latest.sent_ns <= time.time_ns()
 
 
 def test_one_that_never_reads_stops_nobody() -> None:
-    stream = frames(3000, lines=200)
     with zmq.Context() as context, context.socket(zmq.SUB) as stuck:
         stuck.setsockopt(zmq.RCVHWM, 1)
         stuck.setsockopt(zmq.LINGER, 0)
         stuck.subscribe(b"")
         source = publisher()
         stuck.connect(source.address)
-        begin = time.monotonic()
-        publish(source, stream)
-        assert time.monotonic() - begin < 60
-        begin = time.monotonic()
+        publish(source, frames(3000, lines=200))  # a gigabyte would wait for it
         source.close()
-        assert time.monotonic() - begin < 3
 
 
 def _read(address: str, seen: multiprocessing.Queue[int]) -> None:
@@ -149,9 +132,7 @@ def test_one_that_is_killed_harms_nobody() -> None:
     with closing(publisher()) as source, subscribe_tracks(source.address) as other:
         victim = spawn.Process(target=_read, args=(source.address, seen))
         victim.start()
-        begin = time.monotonic()
         while seen.empty():  # it needs time to start
-            assert time.monotonic() - begin < 60
             publish(source, stream[:1], 0.05)
         publish(source, stream[1:60], 0.002)
         assert victim.pid is not None
@@ -170,8 +151,8 @@ def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytes
     (tracks,) = frames(1)
     with subscribe_tracks(address) as subscription:
         for number in (4, 5, 8, 9):
-            send(encode_frame(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0))
-        send(encode_end(stream=1, sequence=11, name="", sent_ns=0))
+            send(encode(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0))
+        send(encode(None, stream=1, sequence=11, name="", sent_ns=0))
         assert len(list(subscription)) == 4
         assert subscription.lost == 3
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
@@ -180,7 +161,7 @@ def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytes
 def test_what_is_no_message_is_an_error_and_the_next_one_can_be_read(sender: tuple[Callable[..., None], str]) -> None:
     send, address = sender
     (tracks,) = frames(1)
-    good = encode_frame(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0)
+    good = encode(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0)
     with subscribe_tracks(address) as subscription:
         for parts, complaint in (([b"noise"], "not a valid message"), ([b"lines", good], "several parts")):
             send(*parts)
@@ -195,7 +176,7 @@ def test_a_publisher_that_begins_anew_is_noticed(sender: tuple[Callable[..., Non
     send, address = sender
     with subscribe_tracks(address) as subscription:
         for stream, number in ((1, 5), (2, 0), (2, 1), (2, 1)):
-            send(encode_frame(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
+            send(encode(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
         next(iter(subscription))
         with pytest.raises(InputError, match="began anew"):
             next(iter(subscription))
@@ -205,11 +186,9 @@ def test_a_publisher_that_begins_anew_is_noticed(sender: tuple[Callable[..., Non
 
 
 def test_silence_is_an_error_after_a_while() -> None:
-    with closing(publisher()) as source, subscribe_tracks(source.address, timeout_s=0.2) as subscription:
-        begin = time.monotonic()
-        with pytest.raises(InputError, match=r"nothing came from tcp://127\.0\.0\.1:\d+ for 0\.2 s"):
-            next(iter(subscription))
-        assert 0.15 < time.monotonic() - begin < 5
+    silence = pytest.raises(InputError, match=r"nothing came from tcp://127\.0\.0\.1:\d+ for 0\.2 s")
+    with closing(publisher()) as source, subscribe_tracks(source.address, timeout_s=0.2) as subscription, silence:
+        next(iter(subscription))
 
 
 @pytest.mark.parametrize(
@@ -240,14 +219,11 @@ BAD = [
     "tcp://h:1/x",
     "tcp://[:1",
 ]
+BAD += ["tcp://me@h:1", "udp://h:1", "ipc://", "ipc://a\nb", "ipc://\udcff", "wss://h:1"]
 
 
-@pytest.mark.parametrize(
-    "text", [*BAD, "tcp://me@h:1", "udp://h:1", "ipc://", "ipc://a\nb", "ipc://\udcff", "wss://h:1"]
-)
+@pytest.mark.parametrize("text", BAD)
 def test_other_texts_are_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="is no address"):
-        parse_address(text)
     with pytest.raises(ConfigError, match="is no address"):
         subscribe_tracks(text)
 
@@ -257,11 +233,10 @@ def test_foxglove_is_not_for_subscribers() -> None:
         subscribe_tracks("ws://127.0.0.1:8765")
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "ipc", "ws"])
-def test_a_taken_address_is_refused(scheme: str, tmp_path: Path) -> None:
-    address = f"ipc://{tmp_path}/lines" if scheme == "ipc" else f"{scheme}://127.0.0.1:0"
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:0", "ws://127.0.0.1:0", "ipc://{folder}/lines"])
+def test_a_taken_address_is_refused(address: str, tmp_path: Path) -> None:
     refused = pytest.raises(InputError, match=r"cannot publish at .* use\): choose another")
-    with closing(open_publisher(address, "first")) as first, refused:
+    with closing(open_publisher(address.format(folder=tmp_path), "first")) as first, refused:
         open_publisher(first.address, "second")
 
 
@@ -269,7 +244,7 @@ def test_a_taken_address_is_refused(scheme: str, tmp_path: Path) -> None:
     "text", ["tcp://192.0.2.1:5555", "ws://192.0.2.1:5555", "ipc:///no/such/folder/lines", "ipc://" + "x" * 200]
 )
 def test_an_address_of_others_is_refused(text: str) -> None:
-    with pytest.raises(AirLineError, match="cannot publish at"):
+    with pytest.raises(InputError, match="cannot publish at"):
         open_publisher(text, "")
 
 
@@ -292,3 +267,13 @@ def test_closing_that_was_interrupted_can_be_done_again() -> None:
     code += "publisher.close(); publisher.close(); print('closed')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "closed\n"
+
+
+@pytest.mark.parametrize(("module", "scheme", "extra"), [("zmq", "tcp", "zeromq"), ("foxglove", "ws", "foxglove")])
+def test_without_the_extra_one_sentence_names_it(
+    module: str, scheme: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, f"logs.live.{extra}", raising=False)
+    with pytest.raises(ConfigError, match=rf"{module} is not installed: pip install 'airline-frontend\[{extra}\]'"):
+        open_publisher(f"{scheme}://127.0.0.1:0", "clip")

@@ -8,30 +8,19 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import orjson
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from airline.errors import InputError
 from frontend.colours import track_colours
 from logs.read import read_tracks
 from logs.sinks.mcap_tracks import McapTrackSink
-from logs.tracks.json import decode_tracks, encode_tracks
-from logs.tracks.schema import SCHEMA
-from tests.helpers.made_tracks import (
-    CAMERA,
-    FISHEYE,
-    assert_all_same,
-    assert_same,
-    clip_results,
-    made_tracks,
-    result_of,
-    streams,
-)
+from logs.sinks.output import McapOutput
+from logs.tracks.json import encode_tracks
+from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, result_of
+
+MADE = made_tracks(0, 0, np.arange(3), np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -162,33 +151,9 @@ def test_the_schema_in_the_file_describes_the_messages(path, messages):
     assert all(field["description"] for field in schema["properties"].values())
     for _, _, message in messages["/lines/tracks"]:
         conforms(message, schema)
-
-
-def test_reading_back_gives_what_was_written(path):
-    assert_all_same(list(read_tracks(path)), [result.tracks for result in clip_results()])
-
-
-@settings(max_examples=40, deadline=None)
-@given(streams())
-def test_odd_streams_read_back_the_same(tmp_path_factory, stream):
-    path = tmp_path_factory.mktemp("odd") / "t.mcap"
-    sink = McapTrackSink(path)
-    for tracks in stream:
-        conforms(json.loads(encode_tracks(tracks)), json.loads(json.dumps(SCHEMA)))
-        sink.write(result_of(tracks))
-    sink.close()
-    if stream:
-        assert_all_same(list(read_tracks(path)), stream)
-    else:
-        with pytest.raises(InputError, match="no messages"):
-            list(read_tracks(path))
-
-
-@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
-def test_every_float32_survives_json(value):
-    tracks = made_tracks(0, 0, np.arange(1), np.random.default_rng(0))
-    tracks.scores[0] = value
-    assert_same(decode_tracks(encode_tracks(tracks)), tracks)
+    odd = made_tracks(0, 0, np.arange(2), np.random.default_rng(0), lost=1, camera=None, reset="x", length=1)
+    odd.scores[0] = np.nan
+    conforms(json.loads(encode_tracks(odd)), schema)
 
 
 def test_times_before_the_epoch_are_refused(tmp_path):
@@ -204,7 +169,7 @@ def test_times_before_the_epoch_are_refused(tmp_path):
         ({"ids": [1, 2]}, "different lengths"),
         ({"ids": [1, 2, 2**63]}, "ids"),
         ({"ids": [1, 2, "3"]}, "ids"),
-        ({"states": [0, 1, 7]}, "states"),
+        ({"states": [0, 1, 7]}, "unknown state"),
         ({"ages": [0, 1, 2**31]}, "ages"),
         ({"scores": [0, 1, 1e39]}, "scores"),
         ({"segments_px": [[[0, 0], [0, 0]]] * 2 + [[[0, 0], [0]]]}, "segments_px"),
@@ -214,42 +179,18 @@ def test_times_before_the_epoch_are_refused(tmp_path):
         ({"timestamp": {"sec": 0, "nsec": 10**9}}, "nsec"),
         ({"timestamp": {"sec": 9223372036, "nsec": 999999999}}, "out of range"),
         ({"camera": {"width": 1}}, "camera"),
-        ({"camera": {**json.loads(encode_tracks(clip_results()[0].tracks))["camera"], "fx": -1.0}}, "focal"),
+        ({"camera": {**json.loads(encode_tracks(MADE))["camera"], "fx": -1.0}}, "focal"),
         ({"reset": 3}, "reset"),
     ],
 )
 def test_messages_of_others_are_refused_in_one_sentence(tmp_path, change, complaint):
-    fields = json.loads(encode_tracks(made_tracks(0, 0, np.arange(3), np.random.default_rng(0))))
-    path = tmp_path / "t.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel(
-            "/t", "json", writer.register_schema("frontend.LineTracks", "jsonschema", b"")
-        )
-        writer.add_message(channel, 5, orjson.dumps({**fields, **change}), 5)
-        writer.finish()
+    output = McapOutput(path := tmp_path / "t.mcap", False, {})
+    channel = output.channel("/t", "json", "frontend.LineTracks", "jsonschema", b"")
+    output.write(channel, 5, json.dumps({**json.loads(encode_tracks(MADE)), **change}).encode())
+    output.close()
     with pytest.raises(InputError, match=complaint) as error:
         list(read_tracks(path))
     assert "\n" not in str(error.value)
-
-
-@given(st.binary(max_size=200) | st.builds(lambda n: b"[" * n, st.integers(0, 100_000)))
-def test_arbitrary_bytes_are_no_tracks(text):
-    with pytest.raises(InputError):
-        decode_tracks(text)
-
-
-@given(st.data())
-def test_damaged_messages_never_crash(data):
-    text = bytearray(encode_tracks(clip_results()[0].tracks))
-    for _ in range(data.draw(st.integers(1, 4))):
-        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
-    try:
-        tracks = decode_tracks(bytes(text))
-    except InputError:
-        return
-    assert len(tracks.segments_px) == len(tracks)
 
 
 def test_other_files_are_refused(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import signal
 import subprocess
 import sys
 import time
@@ -58,24 +57,11 @@ def test_an_unknown_name_lists_the_kinds(spec):
         check(spec)
 
 
-def test_several_at_once_hold_the_same(tmp_path):
-    results = clip_results()
-    sinks = [open_track_sink(f"{tmp_path}/{name}") for name in ALL]
-    for result in results:
-        for sink in sinks:
-            sink.write(result)
-    for sink in sinks:
-        sink.close()
-    tracks = [result.tracks for result in results]
-    assert_all_same(list(read_tracks(tmp_path / "all.mcap")), tracks)
-    assert_all_same(list(read_tracks(tmp_path / "all.parquet")), tracks)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(name.strip("/") for name in ALL)
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_nothing_is_overwritten_unasked(tmp_path, name):
     spec, results = f"{tmp_path}/{name}", clip_results()
     write(spec, results)
+    assert [path.name for path in tmp_path.iterdir()] == [name.strip("/")], "no journal is left"
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for refused in (check, open_track_sink):
         with pytest.raises(InputError, match="--overwrite"):
@@ -109,73 +95,60 @@ def test_a_leftover_journal_is_named(tmp_path):
 
 WRITER = """
 import sys, time
-from tests.helpers.made_tracks import made_tracks, result_of
+from tests.helpers.made_tracks import result_of
+from tests.logs.test_track_sinks import expected
 from logs.sinks.open import open_track_sink
-import numpy as np
 sinks = [open_track_sink(spec) for spec in sys.argv[2:]]
-frames = [made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3) for k in range(3000)]
-print("ready", flush=True)
-start = time.monotonic()
-for k, tracks in enumerate(frames):
+for k, tracks in enumerate(expected(3000)):
     for sink in sinks:
         sink.write(result_of(tracks))
     print(k, flush=True)
-    time.sleep(max(0.0, start + k * 0.01 - time.monotonic()))
+    time.sleep(0.01)
 """
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory):
-    """A folder of outputs of a process killed in the middle of its work, and for each frame when it was written."""
-    runs = []
-    for wait_s in (1.3, 2.45):
-        folder = tmp_path_factory.mktemp("killed")
-        command = [sys.executable, "-c", WRITER, "-", *(f"{folder}/{name}" for name in ALL)]
-        written = []
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-            assert process.stdout.readline() == "ready\n"
-            start = time.monotonic()
-            while time.monotonic() < start + wait_s:
-                process.stdout.readline()
-                written.append(time.monotonic())
-            process.send_signal(signal.SIGKILL)
-            process.stdout.read()
-        runs.append((folder, written))
-    return runs
-
-
-def frames_due(written: list[float]) -> int:
-    """How many frames were written more than 1.3 s before the end."""
-    return sum(when < written[-1] - 1.3 for when in written)
 
 
 def expected(count: int) -> list[LineTracks]:
     return [made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3) for k in range(count)]
 
 
-def test_after_a_kill_all_but_the_last_second_is_there(killed, caplog):
-    for folder, written in killed:
-        for name in ("all.mcap", "all.parquet.unfinished"):
-            found = list(read_tracks(folder / name))
-            assert len(found) >= frames_due(written), name
-            assert_all_same(found, expected(len(found)))
-        assert not (folder / "all.parquet").exists()
-        with (folder / "all.csv").open() as file:
-            rows = list(csv.DictReader(file))
-        assert len(rows) >= 60 * frames_due(written)
-        assert all(None not in row.values() and row["d5"] for row in rows), "whole lines"
-        images = (folder / "limap/images.csv").read_text().splitlines()[1:]
-        assert len(images) >= frames_due(written)
-        for line in images:
-            image = line.split(",")[0]
-            assert (folder / f"limap/line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
-            assert (folder / f"limap/line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
-    assert frames_due(killed[1][1]) > 50, "the test has something to miss"
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A folder of outputs of a process killed in the middle, and how many frames it wrote more than 1.3 s before."""
+    folder = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-c", WRITER, "-", *(f"{folder}/{name}" for name in ALL)]
+    written: list[float] = []
+    due = 0
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        while due < 20:
+            process.stdout.readline()
+            written.append(time.monotonic())
+            due = sum(when < written[-1] - 1.3 for when in written)
+        process.kill()
+        process.stdout.read()
+    return folder, due
+
+
+def test_after_a_kill_all_but_the_last_second_is_there(killed):
+    folder, due = killed
+    for name in ("all.mcap", "all.parquet.unfinished"):
+        found = list(read_tracks(folder / name))
+        assert len(found) >= due, name
+        assert_all_same(found, expected(len(found)))
+    assert not (folder / "all.parquet").exists()
+    with (folder / "all.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) >= 60 * due
+    assert all(None not in row.values() and row["d5"] for row in rows), "whole lines"
+    images = [row.split(",")[0] for row in (folder / "limap/images.csv").read_text().splitlines()[1:]]
+    assert len(images) >= due
+    for image in images:
+        assert (folder / f"limap/line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
+        assert (folder / f"limap/line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
 
 
 def test_a_journal_becomes_a_clean_file(killed, tmp_path, capsys):
     journal = tmp_path / "t.parquet.unfinished"
-    journal.write_bytes((killed[1][0] / "all.parquet.unfinished").read_bytes())
+    journal.write_bytes((killed[0] / "all.parquet.unfinished").read_bytes())
     before = list(read_tracks(journal))
     assert main([str(journal)]) == 0  # python -m logs.repair
     assert capsys.readouterr().out == f"{tmp_path / 't.parquet'}: finished, {60 * len(before)} rows\n"
@@ -189,7 +162,7 @@ def clip_journal(path: Path) -> tuple[bytes, list[int]]:
     ends = [journal.stat().st_size]
     for result in clip_results():
         sink.write(result)
-        sink._writer.flush()
+        sink.flush()
         ends.append(journal.stat().st_size)
     whole = journal.read_bytes()
     sink.close()
@@ -222,45 +195,49 @@ def test_finishing_never_overwrites(tmp_path):
     assert len(list(read_tracks(tmp_path / "t.parquet.unfinished"))) == 1
 
 
-FILLED = """
+LIMITED = """
 import resource, signal, sys
+from pathlib import Path
 from airline.errors import InputError
-from tests.helpers.made_tracks import made_tracks, result_of
+from tests.helpers.made_tracks import result_of
+from tests.logs.test_track_sinks import expected
+from logs.sinks import output
 from logs.sinks.open import open_track_sink
-from logs.sinks import csv, mcap_output, parquet
-import numpy as np
-for module in (csv, mcap_output, parquet):
-    module.FLUSH_S = 0.0
+from logs.sinks.parquet import finish_journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
-sink = open_track_sink(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+output.FLUSH_S = 0.0
+count = 0
 try:
-    for k in range(2000):
-        sink.write(result_of(made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3)))
+    if sys.argv[1].endswith(".unfinished"):
+        finish_journal(Path(sys.argv[1]), Path(sys.argv[1]).with_suffix(""))
+    sink = open_track_sink(sys.argv[1])
+    for tracks in expected(500):
+        sink.write(result_of(tracks))
+        count += 1
 except InputError as error:
-    print(k, error)
-else:
-    print("no error")
-sink.close()
+    print(count, error)
+    if count: sink.close()
 """
+
+
+def written_until_full(path: Path, room: int) -> tuple[int, str]:
+    """How many frames a process wrote that may fill files up to so many bytes, and its error."""
+    command = [sys.executable, "-c", LIMITED, str(path), str(room)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (0, "")
+    count, message = done.stdout.strip().split(maxsplit=1)
+    return int(count), message
 
 
 @pytest.mark.parametrize("name", ["all.mcap", "all.parquet", "all.csv", "plvins.mcap"])
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
-    done = subprocess.run(
-        [sys.executable, "-c", FILLED, f"{tmp_path}/{name}"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    count, message = done.stdout.strip().split(maxsplit=1)
+    count, message = written_until_full(tmp_path / name, 100_000)
     assert name in message
     assert "too large" in message
     if name in ("all.mcap", "all.parquet"):
-        path = tmp_path / (name if name == "all.mcap" else name + ".unfinished")
-        found = list(read_tracks(path))
-        assert len(found) > int(count) - 3
+        found = list(read_tracks(tmp_path / (name if name == "all.mcap" else name + ".unfinished")))
+        assert len(found) > count - 3
         assert_all_same(found, expected(len(found)))
 
 
@@ -275,14 +252,8 @@ def test_no_room_for_the_parquet_file_leaves_the_journal(tmp_path):
     journal = tmp_path / "t.parquet.unfinished"
     journal.write_bytes(clip_journal(tmp_path / "whole.parquet")[0])
     (tmp_path / "whole.parquet").unlink()
-    code = (
-        "import resource, signal, sys; from logs.sinks.parquet import finish_journal; from pathlib import Path;"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500));"
-        "finish_journal(Path(sys.argv[1]), Path(sys.argv[2]))"
-    )
-    command = [sys.executable, "-c", code, str(journal), str(tmp_path / "t.parquet")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert f"InputError: cannot write '{tmp_path}/t.parquet'" in done.stderr
+    _, message = written_until_full(journal, 500)
+    assert message.startswith(f"cannot write '{tmp_path}/t.parquet'")
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet.unfinished"]
 
 

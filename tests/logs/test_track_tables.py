@@ -9,15 +9,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from airline.errors import InputError
 from logs.read import read_tracks
 from logs.sinks.csv import CsvTrackSink
 from logs.sinks.parquet import ParquetTrackSink
-from logs.tracks.table import SCHEMA, TableNotes
-from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of, streams
+from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
+from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of
 
 
 def write(path, stream) -> None:
@@ -41,20 +39,19 @@ def path(tmp_path_factory, clip):
 
 def test_one_row_per_observation(path, clip):
     table = pq.read_table(path)
-    assert len(table) == sum(map(len, clip))
     column = {name: table[name].to_numpy() for name in table.column_names if name != "descriptor"}
-    np.testing.assert_array_equal(column["id"], np.concatenate([tracks.ids for tracks in clip]))
     np.testing.assert_array_equal(column["frame"], np.repeat(np.arange(12), list(map(len, clip))))
-    for name, field in (("", "segments_px"), ("observed_", "observed_px")):
-        points = np.concatenate([getattr(tracks, field) for tracks in clip]).reshape(-1, 4)
-        for k, end in enumerate(("x0", "y0", "x1", "y1")):
-            np.testing.assert_array_equal(column[name + end], points[:, k])
-            assert column[name + end].dtype == np.float32
-    normalized = np.concatenate([tracks.segments_normalized for tracks in clip]).reshape(-1, 4)
-    for k, name in enumerate(("u0", "v0", "u1", "v1")):
-        np.testing.assert_array_equal(column[name], normalized[:, k])
-    descriptors = np.stack(table["descriptor"].to_pylist())
-    np.testing.assert_array_equal(descriptors.astype(np.float32), np.concatenate([t.descriptors for t in clip]))
+    for names, field in (
+        ("id", "ids"),
+        ("x0 y0 x1 y1", "segments_px"),
+        ("observed_x0 observed_y0 observed_x1 observed_y1", "observed_px"),
+        ("u0 v0 u1 v1", "segments_normalized"),
+        ("var_offset cov_offset_angle cov_offset_angle var_angle", "covariances"),
+    ):
+        expected = np.concatenate([getattr(tracks, field) for tracks in clip])
+        found = np.stack([column[name] for name in names.split()], axis=1).reshape(expected.shape)
+        np.testing.assert_array_equal(found, expected)
+        assert found.dtype == expected.dtype
 
 
 def test_the_file_explains_itself(path):
@@ -66,25 +63,6 @@ def test_the_file_explains_itself(path):
         assert field.metadata[b"description"], field.name
     assert file.schema_arrow.field("x0").metadata[b"unit"] == b"px"
     assert file.metadata.row_group(0).column(0).compression == "ZSTD"
-
-
-def test_reading_back_gives_what_was_written(path, clip):
-    assert_all_same(list(read_tracks(path)), clip)
-
-
-@settings(max_examples=60, deadline=None)
-@given(streams(), st.integers(1, 5))
-def test_odd_streams_read_back_the_same(tmp_path_factory, stream, every):
-    path = tmp_path_factory.mktemp("odd") / "t.parquet"
-    sink = ParquetTrackSink(path)
-    for k, tracks in enumerate(stream):
-        sink.write(result_of(tracks))
-        if k % every == 0:
-            sink._writer.flush()
-    sink._writer.flush()
-    assert_all_same(list(read_tracks(sink._journal)), stream)
-    sink.close()
-    assert_all_same(list(read_tracks(path)), stream)
 
 
 def test_frames_across_batches_and_row_groups(tmp_path, monkeypatch):
@@ -115,19 +93,18 @@ def test_normalized_points_are_null_without_a_camera_and_nan_out_of_its_reach(tm
     assert values[2] == "nan"
 
 
-def test_csv_holds_the_same_numbers(tmp_path, clip):
+def test_csv_holds_the_same_numbers(tmp_path, path, clip):
     write(tmp_path / "t.csv", clip)
     with (tmp_path / "t.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == sum(map(len, clip))
-    for name, field in (("id", "ids"), ("age", "ages"), ("state", "states"), ("fragment_of", "fragment_of")):
-        assert [int(row[name]) for row in rows] == np.concatenate([getattr(t, field) for t in clip]).tolist()
-    points = np.array([[row[name] for name in ("x0", "y0", "x1", "y1")] for row in rows]).astype(np.float32)
-    np.testing.assert_array_equal(points.reshape(-1, 2, 2), np.concatenate([t.segments_px for t in clip]))
-    descriptors = np.array([[row[f"d{k}"] for k in range(6)] for row in rows]).astype(np.float32)
-    np.testing.assert_array_equal(descriptors, np.concatenate([t.descriptors for t in clip]))
-    left_out = {"descriptor", "lost_ids", "lost_segments", "ended_ids", "reset"}
-    assert rows[0].keys() == (set(SCHEMA.names) - left_out) | {f"d{k}" for k in range(6)}
+    table = pq.read_table(path)
+    descriptors = {f"d{k}" for k in range(6)}
+    assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS}) | descriptors
+    for name in rows[0].keys() - descriptors:
+        values = table[name].to_numpy()
+        np.testing.assert_array_equal(np.array([row[name] for row in rows]).astype(values.dtype), values, err_msg=name)
+    found = np.array([[row[f"d{k}"] for k in range(6)] for row in rows]).astype(np.float32)
+    np.testing.assert_array_equal(found, np.concatenate([t.descriptors for t in clip]))
 
 
 def test_csv_without_rows_has_a_header(tmp_path):
@@ -176,14 +153,14 @@ def column(name, values):
         (lambda table, notes: (table.slice(1), notes), "first of a frame"),
         (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
         (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
-        (column("lost_ids", lambda values: [v and [*v, 7] if v is None else [*v, 7] for v in values]), "lost tracks"),
+        (column("lost_ids", lambda values: [v if v is None else [*v, 7] for v in values]), "different lengths"),
         (column("lost_ids", lambda values: [v if v is None else [None] for v in values]), "missing"),
         (column("state", lambda values: [9] * len(values)), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
         (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
         (column("stamp_ns", lambda values: [*values[:-1], 0]), "disagree"),
         (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
-        (column("descriptor", lambda values: [None, *values[1:]]), "descriptors are missing"),
+        (column("descriptor", lambda values: [None, *values[1:]]), "numbers are missing"),
     ],
 )  # fmt: skip
 def test_tables_of_others_are_refused_in_one_sentence(path, tmp_path, change, complaint):
@@ -200,39 +177,6 @@ def test_cut_and_foreign_files_are_refused(path, tmp_path):
             (tmp_path / name).write_bytes(text)
             with pytest.raises(InputError, match=name):
                 list(read_tracks(tmp_path / name))
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.data())
-def test_damaged_files_never_crash(tmp_path_factory, data):
-    folder = tmp_path_factory.mktemp("damaged")
-    for name, whole in damageable(tmp_path_factory).items():
-        text = bytearray(whole)
-        for _ in range(data.draw(st.integers(1, 4))):
-            text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
-        (folder / name).write_bytes(text)
-        try:
-            for tracks in read_tracks(folder / name):
-                assert len(tracks.segments_px) == len(tracks)
-        except InputError:
-            continue
-
-
-FILES: dict[str, bytes] = {}
-
-
-def damageable(tmp_path_factory) -> dict[str, bytes]:
-    """A small Parquet file and a small journal."""
-    if not FILES:
-        folder = tmp_path_factory.mktemp("whole")
-        sink = ParquetTrackSink(folder / "t.parquet")
-        for k in range(4):
-            sink.write(result_of(made_tracks(k, k, np.arange(3 * (k % 2)), np.random.default_rng(k), lost=1)))
-            sink._writer.flush()
-        FILES["t.parquet.unfinished"] = (folder / "t.parquet.unfinished").read_bytes()
-        sink.close()
-        FILES["t.parquet"] = (folder / "t.parquet").read_bytes()
-    return FILES
 
 
 def test_notes_of_frames_beyond_the_stream_are_refused():

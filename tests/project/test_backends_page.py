@@ -1,8 +1,9 @@
-"""docs/backends.md: its tables are those of the code, its ROS 2 node makes the messages that PL-VINS's file holds."""
+"""docs/backends.md has the tables of the code, and the ROS 2 node makes the messages of PL-VINS's file."""
 
 from __future__ import annotations
 
 import re
+import runpy
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -11,13 +12,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from logs.live.message import ARRAYS, encode_frame
+from logs.live.message import ARRAYS, encode
 from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import clip_results
 from tests.logs.test_plvins import read
 
 PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
+NODE = ROOT / "examples" / "ros2_lines_node.py"
 
 
 class Message(SimpleNamespace):
@@ -28,16 +30,14 @@ class Message(SimpleNamespace):
 
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the page's node defines, with stand-ins for what it imports from ROS."""
-    (source,) = re.findall(r"```python\n(\"\"\"Tracked lines as ROS 2 messages.*?)```", PAGE, re.DOTALL)
+    """What the example defines, with stand-ins for what it imports from ROS."""
+    source = NODE.read_text(encoding="utf-8")
     for package, names in re.findall(r"from ((?:\w+_\w+\.msg)|rclpy\.\w+) import (.*)", source):
         module = ModuleType(package)
         module.__dict__.update(dict.fromkeys(names.split(", "), Message))
         monkeypatch.setitem(sys.modules, package, module)
         monkeypatch.setitem(sys.modules, package.split(".")[0], ModuleType(package.split(".")[0]))
-    defined: dict[str, Any] = {"__name__": "lines_node"}
-    exec(compile(source, "lines_node.py", "exec"), defined)
-    return defined
+    return runpy.run_path(str(NODE), run_name="lines_node")
 
 
 def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> None:
@@ -47,7 +47,7 @@ def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> N
     sink.close()
     lines = PlVinsLines()
     expected = [cloud for *_, cloud in read(tmp_path / "plvins.mcap")]
-    assert f'"{TOPIC}"' in PAGE
+    assert f'"{TOPIC}"' in NODE.read_text(encoding="utf-8")
     assert sum(len(cloud.points) for cloud in expected) > 500
     for result, cloud in zip(clip_results(), expected, strict=True):
         found = node["cloud_of"](result.tracks, lines)
@@ -71,9 +71,12 @@ def test_the_markers_are_the_confirmed_lines(node: dict[str, Any]) -> None:
 
 
 def test_the_tables_are_those_of_the_protocol() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| `(\S+)` \| ([^|]+) \|", PAGE, re.MULTILINE)
-    documented = {name: (dtype.replace("\\", ""), shape.count(",")) for name, dtype, shape in rows}
-    assert documented == {name: (dtype, len(row)) for name, (dtype, row) in ARRAYS.items()}
-    message = msgspec.msgpack.decode(encode_frame(clip_results()[0], stream=0, sequence=0, name="", sent_ns=0))
+    message = msgspec.msgpack.decode(encode(clip_results()[0], stream=0, sequence=0, name="", sent_ns=0))
     fields = re.findall(r"^\| `(\w+)` \| (?:int|str|map|\[int)", PAGE, re.MULTILINE)
     assert sorted(fields) == sorted(message)
+    rows = []
+    for field in ARRAYS:  # to paste into the page when a field was added
+        shape, meaning = field.text.removeprefix("(").split(") ", 1)
+        dtype = message["arrays"][field.name]["dtype"].replace("|", "\\|")
+        rows.append(f"| `{field.name}` | `{dtype}` | {shape} | {meaning} |")
+    assert re.findall(r"^\| `\w+` \| `.*", PAGE, re.MULTILINE) == rows

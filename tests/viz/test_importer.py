@@ -128,7 +128,7 @@ def test_foreign_files_are_answered_without_heavy_imports(files, tmp_path):
 
 
 def test_our_log_that_was_cut_is_opened_as_far_as_it_goes(tmp_path, monkeypatch):
-    monkeypatch.setattr("logs.sinks.mcap_output.FLUSH_S", 0)  # a chunk for each frame
+    monkeypatch.setattr("logs.sinks.output.FLUSH_S", 0)  # a chunk for each frame
     sink = McapTrackSink(tmp_path / "whole.mcap")
     for result in clip_results():
         sink.write(result)

@@ -1,0 +1,138 @@
+"""Tracks in every format: each holds every field of the table, and gives back what went in."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from airline.errors import InputError
+from frontend.tracks import FIELDS, LineTracks
+from logs.live.message import decode, encode
+from logs.read import read_tracks
+from logs.sinks.open import open_track_sink
+from logs.sinks.parquet import ParquetTrackSink, journal_of
+from logs.tracks.json import SCHEMA, decode_tracks, encode_tracks
+from tests.helpers.command import ROOT
+from tests.helpers.made_tracks import assert_all_same, assert_same, clip_results, made_tracks, result_of, streams
+
+CLIP = [made_tracks(k, k, np.arange(3 + k), np.random.default_rng(k), lost=k, ended=1) for k in range(3)]
+
+
+def by_json(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
+    return [decode_tracks(encode_tracks(tracks)) for tracks in stream]
+
+
+def by_message(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
+    found = [decode(encode(result_of(tracks), stream=1, sequence=2, name="", sent_ns=3)).tracks for tracks in stream]
+    return [tracks for tracks in found if tracks is not None]
+
+
+def by_mcap(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
+    path = write(stream, folder / "t.mcap")
+    if stream:
+        return list(read_tracks(path))
+    with pytest.raises(InputError, match="no messages"):
+        list(read_tracks(path))
+    return []
+
+
+def by_parquet(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
+    return list(read_tracks(write(stream, folder / "t.parquet")))
+
+
+def by_journal(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
+    sink = ParquetTrackSink(folder / "j.parquet", overwrite=True)
+    for k, tracks in enumerate(stream):
+        sink.write(result_of(tracks))
+        if k % 3 == 0:
+            sink.flush()
+    sink.flush()
+    found = list(read_tracks(journal_of(folder / "j.parquet")))
+    sink.close()
+    return found
+
+
+FORMATS = [by_json, by_message, by_mcap, by_parquet, by_journal]
+
+
+def write(stream: list[LineTracks], path: Path) -> Path:
+    sink = open_track_sink(str(path), overwrite=True)
+    for tracks in stream:
+        sink.write(result_of(tracks))
+    sink.close()
+    return path
+
+
+@pytest.mark.parametrize("there_and_back", FORMATS)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(streams())
+def test_odd_streams_come_back_exactly(there_and_back: Callable, tmp_path: Path, stream: list[LineTracks]) -> None:
+    assert_all_same(there_and_back(stream, tmp_path), stream)
+
+
+@pytest.mark.parametrize("there_and_back", FORMATS)
+def test_the_clip_comes_back_exactly(there_and_back: Callable, tmp_path: Path) -> None:
+    stream = [result.tracks for result in clip_results()]
+    assert_all_same(there_and_back(stream, tmp_path), stream)
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_every_float32_survives_json(value: float) -> None:
+    tracks = made_tracks(0, 0, np.arange(1), np.random.default_rng(0))
+    tracks.scores[0] = value
+    assert_same(decode_tracks(encode_tracks(tracks)), tracks)
+
+
+@pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)
+def test_every_format_holds_every_field(field, tmp_path: Path) -> None:
+    columns = {name for name, _ in field.numbers}
+    assert {SCHEMA["properties"][field.name]["description"]} == {field.text}
+    assert field.name in json.loads(encode_tracks(CLIP[0]))
+    message = msgspec.msgpack.decode(encode(result_of(CLIP[0]), stream=0, sequence=0, name="", sent_ns=0))
+    assert np.dtype(message["arrays"][field.name]["dtype"]) == field.dtype
+    assert columns <= set(pq.read_schema(write(CLIP, tmp_path / "t.parquet")).names)
+    with write(CLIP, tmp_path / "t.csv").open() as file:
+        header = set(next(csv.reader(file)))
+    assert columns <= header or field.name == "descriptors" or field.rows != "seen"
+
+
+ONE_LINE = '    consistency: Annotated[Float32, Field("share of the tracks that move like this one", older=1)]\n'
+WITH_A_NEW_FIELD = """
+import sys, numpy as np
+from pathlib import Path
+from frontend.tracks import FIELDS
+from logs.read import read_tracks
+from tests.logs.test_track_formats import CLIP, FORMATS, write
+folder = Path(sys.argv[1])
+assert "consistency" in [field.name for field in FIELDS] and CLIP[0].consistency.any()
+for there_and_back in FORMATS:
+    for found, sent in zip(there_and_back(CLIP, folder), CLIP, strict=True):
+        assert np.array_equal(found.consistency, sent.consistency)
+assert "consistency" in write(CLIP, folder / "t.csv").read_text().partition("\\n")[0].split(",")
+for name in ("old.mcap", "old.parquet"):
+    assert all((tracks.consistency == 1).all() for tracks in read_tracks(folder / name))
+"""
+
+
+def test_a_new_field_is_one_line(tmp_path: Path) -> None:
+    """In a copy of `frontend`: every format has it, and files from before it are readable."""
+    for name in ("old.mcap", "old.parquet"):
+        write(CLIP, tmp_path / name)
+    shutil.copytree(ROOT / "frontend", tmp_path / "frontend", ignore=shutil.ignore_patterns("__pycache__"))
+    table = tmp_path / "frontend" / "tracks.py"
+    table.write_text(table.read_text().replace("    lost_ids: Annotated", ONE_LINE + "    lost_ids: Annotated", 1))
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]\n{WITH_A_NEW_FIELD}"
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
