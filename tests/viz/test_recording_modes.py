@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import logging
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import av
 import cv2
@@ -15,47 +14,31 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from frontend.protocols import FrameResult
+from frontend.evaluation.endurance import resident_mb
 from tests.helpers.command import command, recorded
+from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
+from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.rerun_sink import RerunSink
 
-FRAMES = 10
+TASKS = Path("/proc/self/task")
 STAGES = {f"/camera/{name}" for name in ("edges", "orientation", "regions", "segments")}
-
-
-def record(path: Path, results: Iterator[FrameResult] | None = None, **options: Any) -> dict[str, dict[str, list[Any]]]:
-    sink = RerunSink(save=path, **options)
-    for result in results or frame_results(FRAMES):
-        sink.write(result)
-    sink.close()
-    return recorded(path)
-
-
-def names_of_views(path: Path) -> set[str]:
-    from rerun.chunk import RrdReader
-
-    column = "ViewBlueprint:display_name"
-    return {
-        name
-        for blueprint in RrdReader(path).blueprints()
-        for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
-        if column in (batch := chunk.to_record_batch()).schema.names
-        for row in batch.column(column).to_pylist()
-        for name in row
-    }
 
 
 def write_video(path: Path, codec: str = "libx264", size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
     """The moving rectangle as a video, 30 frames/s."""
+    encode(path, codec, [cv2.resize(result.frame.image, size) for result in frame_results(FRAMES)])
+    return path
+
+
+def encode(path: Path, codec: str, images: list[np.ndarray]) -> None:
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=30)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        for result in frame_results(FRAMES):
-            image = cv2.resize(result.frame.image, size)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in images:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
         container.mux(stream.encode(None))
-    return path
 
 
 def test_raw_images_come_back_as_they_were(tmp_path):
@@ -147,17 +130,11 @@ def test_video_and_changed_frames_exclude_each_other(tmp_path, flags):
     assert not (tmp_path / "run.rrd").exists()
 
 
-def test_every_third_frame(tmp_path):
-    rows = record(tmp_path / "run.rrd", every=3, descriptor_every=2)
+def test_every_fourth_frame_and_all_resets(tmp_path):
+    rows = record(tmp_path / "run.rrd", every=4, descriptor_every=8)
     for path in ("/camera/image", "/camera/tracks", "/stats/counts/lines", *STAGES):
-        assert rows[path]["frame"] == [0, 3, 6, 9]
-    assert rows["/camera/descriptor"]["frame"] == [0, 6]
-    assert rows["/log"]["frame"] == [RESET_FRAME]
-
-
-def test_resets_of_frames_that_are_not_recorded_are(tmp_path):
-    rows = record(tmp_path / "run.rrd", every=4)
-    assert rows["/camera/tracks"]["frame"] == [0, 4, 8]
+        assert rows[path]["frame"] == [0, 4, 8]
+    assert rows["/camera/descriptor"]["frame"] == [0, 8]
     assert rows["/log"]["frame"] == [RESET_FRAME]
 
 
@@ -170,7 +147,7 @@ def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
         lost_ids=np.array([7]),
         lost_segments_px=rectangle(9)[:1],
     )
-    rows = record(tmp_path / "run.rrd", iter([dataclasses.replace(result, tracks=tracks)]))
+    rows = record(tmp_path / "run.rrd", [dataclasses.replace(result, tracks=tracks)])
     seen, lost = rows["/camera/tracks"], rows["/camera/tracks/lost"]
     whole, piece, young, young_piece = (
         np.array(c) for c in np.array(seen["LineStrips2D:colors"][0], ">u4").view("u1").reshape(4, 4)[:, :3].astype(int)
@@ -283,16 +260,25 @@ def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monk
 
 
 def test_recordings_of_the_clip_keep_to_their_size(tmp_path):
-    """150 kB per frame of 640x480, 20 with a video: over few frames, in which what comes once weighs most."""
-    from viz.bench import measure, results_of_clip, write_video
+    """80 kB per frame of 320x240, 20 with a video: over few frames, in which what comes once weighs most."""
+    results = clip_results()
+    encode(tmp_path / "clip.mp4", "libx264", [result.frame.image for result in results])
+    for mode, limit in (("jpeg", 80_000), ("video", 20_000)):
+        record(tmp_path / f"{mode}.rrd", results, image=mode, video=tmp_path / "clip.mp4")
+        assert (tmp_path / f"{mode}.rrd").stat().st_size < limit * len(results)
 
-    results = results_of_clip(20)
-    video = tmp_path / "clip.mp4"
-    write_video(results, video)
-    for mode, limit in (("jpeg", 150), ("video", 20)):
-        cost = measure(results, tmp_path / f"{mode}.rrd", mode, video)
-        assert cost.kilobytes < limit
-        assert cost.write_ms < 5
+
+@pytest.mark.skipif(not TASKS.exists(), reason="the system does not list threads")
+def test_closed_recordings_leave_no_threads(tmp_path):
+    """Rerun keeps four for each, and some megabytes, unless it is told otherwise; a batch makes many."""
+    threads, memory_mb = [], []
+    for _ in range(10):
+        record(tmp_path / "run.rrd", frame_results(4))
+        gc.collect()
+        threads.append(len(list(TASKS.iterdir())))
+        memory_mb.append(resident_mb())
+    assert max(threads[5:]) <= threads[1] + 4
+    assert memory_mb[-1] - memory_mb[4] < 40
 
 
 def test_settings_reach_the_recording(clip, tmp_path):
