@@ -44,21 +44,11 @@ def layout(kind: Kind = "full", *, image: bool = True, stages: bool = True, spac
     return _blueprint(rrb.Vertical(top, rrb.Horizontal(counts, length, times, log), row_shares=[3, 1]))
 
 
-def side_by_side(names: tuple[str, str], size: tuple[int, int]) -> rrb.Blueprint:
-    """The blueprint of a comparison: the same part of the image in both views, figures below on one time axis.
-
-    Args:
-        names: of the two runs.
-        size: width and height of the image, px.
-    """
-    bounds = rrb.VisualBounds2D(x_range=(0, size[0]), y_range=(0, size[1]))
+def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
+    """The blueprint of a comparison of two runs, with their figures below on one time axis."""
+    below = ["/camera/image"] if image else []
     views = [
-        rrb.Spatial2DView(
-            origin="/camera/image",
-            contents=["/camera/image", f"/{side}/tracks/**", f"/{side}/unmatched"],
-            name=name,
-            visual_bounds=bounds,
-        )
+        _camera_view(name, *below, f"/{side}/tracks", f"/{side}/unmatched")
         for side, name in zip("ab", names, strict=True)
     ]
     axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)

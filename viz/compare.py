@@ -26,26 +26,21 @@ from frontend.tracks import LineTracks
 from viz.blueprint import side_by_side
 from viz.figures import Clock, FigureLog, median
 from viz.lines import log_lines, state_radii
-from viz.replay import ByStamp, images_of, log_image, recording, size_of
+from viz.replay import ByStamp, images_of, log_image, recording
 
 SIDES = ("a", "b")
 SERIES = {"a": (255, 150, 40), "b": (60, 170, 255), "matched": (120, 220, 120)}
 UNMATCHED = np.array([[190, 190, 190]], np.uint8)
-STEADY = 5  # mismatches after which a track is that other track
 
 Segments = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
 
 def match_lines(first: Segments, second: Segments) -> tuple[Ids, Ids, NDArray[np.float64]]:
-    """One-to-one pairs of lines that lie over each other: near, alike in direction, and along each other.
+    """One-to-one pairs of lines (N, 2, 2) and (M, 2, 2), px, that lie over each other.
 
     The measures and their bounds are those of the repeatability, see `measure_pairs`; of all ways to pair the lines,
     that with the most overlap in total is taken, nearer pairs counting more.
-
-    Args:
-        first: (N, 2, 2) px.
-        second: (M, 2, 2) px, in the same image.
 
     Returns:
         (K,) rows of the first, ascending, (K,) rows of the second, and (K,) distances, px.
@@ -62,34 +57,11 @@ def match_lines(first: Segments, second: Segments) -> tuple[Ids, Ids, NDArray[np
     return rows, columns, distance[rows, columns]
 
 
-class Partners:
-    """Which track of one run each track of the other is, by a vote of its latest matches.
-
-    A single mismatch changes nothing, and a track that the other run has lost and found again under a new id follows
-    within a few frames.
-    """
-
-    def __init__(self) -> None:
-        self._partners: dict[int, tuple[int, int]] = {}  # track of the other run, votes for it
-
-    def update(self, ids: Ids, matched: Ids) -> Ids:
-        """(K,) the other run's track that each track (K,) is, after a frame in which they matched those (K,)."""
-        for track, other in zip(ids.tolist(), matched.tolist(), strict=True):
-            partner, votes = self._partners.get(track, (other, 0))
-            votes = min(votes + 1, STEADY) if partner == other else votes - 1
-            self._partners[track] = (partner, votes) if votes else (other, 1)
-        return np.array([self._partners[track][0] for track in ids.tolist()], np.int64)
-
-
 class Comparison:
     """Logs the frames of two runs, and counts.
 
     `/camera/image`, and for `/a` and `/b` each: `tracks`, coloured by the tracks of A, and `unmatched`, grey. Figures
     are below `/stats`. Timelines are `frame` and `sensor_time`, those of A.
-
-    Args:
-        stream: where to log to.
-        names: of the two runs.
     """
 
     def __init__(self, stream: rr.RecordingStream, names: tuple[str, str]) -> None:
@@ -97,7 +69,6 @@ class Comparison:
         self._names = names
         self._clock = Clock(stream)
         self._figures = FigureLog(stream, self._clock)
-        self._partners = Partners()
         self._frames = self._matched = 0
         self._lengths: dict[str, Counter[int]] = {side: Counter() for side in SIDES}  # frames of each track
         for group in ("lines", "matched_share", "track_length"):
@@ -110,10 +81,9 @@ class Comparison:
         """Log the tracks of one image in both runs."""
         self._clock.set(a.frame_index, a.stamp_ns)
         rows, columns, distances = match_lines(a.segments_px, b.segments_px)
-        partners = self._partners.update(b.ids[columns], a.ids[rows])
         figures = {"lines/matched": float(len(rows))}
-        for side, tracks, own, colour_ids in (("a", a, rows, a.ids[rows]), ("b", b, columns, partners)):
-            self._log_side(f"/{side}", tracks, own, colour_ids)
+        for side, tracks, own in (("a", a, rows), ("b", b, columns)):
+            self._log_side(f"/{side}", tracks, own, a.ids[rows])
             self._lengths[side].update(tracks.ids.tolist())
             figures[f"lines/{side}"] = float(len(tracks))
             figures[f"matched_share/{side}"] = 100 * len(rows) / len(tracks) if len(tracks) else 0.0
@@ -126,7 +96,7 @@ class Comparison:
 
     def finish(self) -> str:
         """Log what is waiting; the figures of both runs, a line each."""
-        self._figures.flush()
+        self._figures.close()
         said = [f"{self._frames} frames, {self._matched} pairs of matching lines"]
         for side, name in zip(SIDES, self._names, strict=True):
             lengths = list(self._lengths[side].values())
@@ -163,23 +133,19 @@ def common_frames(a: Path, b: Path) -> Iterator[tuple[LineTracks, LineTracks]]:
 
 
 def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
-    """Record two runs; returns their figures.
-
-    Raises:
-        InputError: a file cannot be read, the two have no frame in common, the recording cannot be written, or no
-            window can open.
-    """
+    """Record two runs; returns their figures. Raises AirLineError where a file cannot be read or written."""
     frames = common_frames(a, b)
     first = next(frames)
     names = f"A: {a.name}", f"B: {b.name}"
-    images = [ByStamp(images_of(path)) for path in (a, b)]
-    layout = side_by_side(names, size_of(first[0]))
+    images = images_of(a)
+    if images.empty:
+        images = images_of(b)
+    layout = side_by_side(names, image=not images.empty)
     with recording("airline-compare", f"{a.name} and {b.name}", layout, save, connect) as stream:
         comparison = Comparison(stream, names)
         for pair in chain([first], frames):
             comparison.write(*pair)
-            shown = [source.at(pair[0].stamp_ns) for source in images]
-            log_image(stream, pair[0], shown[0] or shown[1], first=pair is first)
+            log_image(stream, images.at(pair[0].stamp_ns))
         return comparison.finish()
 
 

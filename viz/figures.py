@@ -69,9 +69,9 @@ class FigureLog:
         for path, value in figures.items():
             self._waiting.setdefault(path, []).append((frame, stamp_ns, float(value)))
         if time.monotonic() - self._sent >= self._wait_s:
-            self.flush()
+            self.close()
 
-    def flush(self) -> None:
+    def close(self) -> None:
         """Log what is waiting."""
         for path, rows in self._waiting.items():
             frames, stamps, values = zip(*rows, strict=True)

@@ -82,16 +82,7 @@ def log_lines(
     radii: NDArray[np.float64] | float,
     ids: NDArray[np.int64] | None = None,
 ) -> None:
-    """Log lines at the stream's present time.
-
-    Args:
-        stream: where to log to.
-        entity: its path.
-        segments: (N, 2, 2) float32 px.
-        colours: (N, 3) uint8 RGB, or (1, 3) for all.
-        radii: (N,) or one for all, points of the screen.
-        ids: (N,) int64 of their tracks, the component `track_id`.
-    """
+    """Log (N, 2, 2) lines, px, with (N, 3) or (1, 3) RGB, (N,) radii or one, and (N,) ids of their tracks."""
     strips = _strips(strips_2d(segments), colours, radii)
     stream.log(entity, *([strips] if ids is None else [strips, rr.AnyValues(track_id=ids)]))
 

@@ -27,28 +27,17 @@ Picture = NDArray[np.uint8]
 def draw_lines(
     canvas: Picture, lines: Iterable[NDArray[np.float32]], colours: NDArray[np.uint8], widths: NDArray[np.int_] | int
 ) -> None:
-    """Draw polylines into a picture, thin ones first.
-
-    Args:
-        canvas: (H, W, 3) uint8 BGR, changed in place.
-        lines: N of (P, 2) float32 px; one that is not finite is left out.
-        colours: (N, 3) uint8 RGB.
-        widths: (N,) or one for all, px.
-    """
+    """Draw N polylines (P, 2) into a BGR picture, thin ones first, with (N, 3) RGB and (N,) widths, px, or one."""
     points = list(lines)
     widths = np.broadcast_to(widths, len(points))
     for k in np.argsort(widths, kind="stable").tolist():
-        if (np.abs(points[k]) < FAR).all():  # NaN is not
+        if (np.abs(points[k]) < FAR).all():  # which NaN is not
             fixed = np.rint(points[k] * (1 << SHIFT)).astype(np.int32)
             cv2.polylines(canvas, [fixed], False, colours[k, ::-1].tolist(), int(widths[k]), cv2.LINE_AA, SHIFT)
 
 
 def draw_frame(frame: RecordedFrame) -> Picture:
-    """A recorded frame's image with its lines, as they are coloured in the recording; two runs stand side by side.
-
-    Returns:
-        (H, W, 3) uint8 BGR; W is that of all panels together.
-    """
+    """A recorded frame's image with its lines, BGR, in the colours of the recording; two runs stand side by side."""
     panels = []
     for layers in frame.panels:
         canvas = frame.image.copy()

@@ -81,16 +81,7 @@ def orientation_image(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
 
 
 def region_image(trace: Trace, classes: NDArray[np.uint16], step: int = 1) -> NDArray[np.uint16]:
-    """Which pixels support which line.
-
-    Args:
-        trace: the detector's results.
-        classes: (N,) uint16 number to draw the region of each line with.
-        step: cells of step x step px show one of their pixels.
-
-    Returns:
-        (H / step, W / step) uint16, rounded up; 0 where no pixel supports a line.
-    """
+    """(H / step, W / step) uint16, rounded up: the class (N,) of the line that a pixel of each cell supports, or 0."""
     height, width = _cells(trace, step)
     picture = np.zeros(height * width, np.uint16)
     supporting = np.flatnonzero(trace.labels >= 0)

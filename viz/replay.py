@@ -13,8 +13,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Generic, TypeVar
 
-import cv2
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -27,12 +25,10 @@ from viz.blueprint import layout
 from viz.destination import Destination, open_stream
 from viz.figures import Clock, FigureLog, track_figures
 from viz.lines import Tails, log_tracks, pinhole
-from viz.recording import BACKGROUND
 from viz.rerun_private import jpeg, send_blueprint
 from viz.viewer import open_viewer
 
 JPEG_QUALITY = 90  # the images are compressed a second time
-MARGIN = 1.02  # how much larger than the lines of the first frame the background is, where the camera is unknown
 
 T = TypeVar("T", LineTracks, Frame)
 
@@ -43,6 +39,7 @@ class ByStamp(Generic[T]):
     def __init__(self, frames: Iterator[T]) -> None:
         self._frames: Iterator[T] = frames
         self._next: T | None = next(frames, None)
+        self.empty = self._next is None
 
     def at(self, stamp_ns: int) -> T | None:
         """The frame with this stamp, None where there is none."""
@@ -51,8 +48,12 @@ class ByStamp(Generic[T]):
         return self._next if self._next is not None and self._next.stamp_ns == stamp_ns else None
 
 
-def images_of(path: Path) -> Iterator[Frame]:
-    """The images that `--with-images` put into a log of tracks; nothing where there are none."""
+def images_of(path: Path) -> ByStamp[Frame]:
+    """The images that `--with-images` put into a log of tracks, if it did."""
+    return ByStamp(_images_of(path))
+
+
+def _images_of(path: Path) -> Iterator[Frame]:
     from logs import open_images
     from logs.sinks.mcap_tracks import IMAGE_TOPIC
 
@@ -66,27 +67,10 @@ def images_of(path: Path) -> Iterator[Frame]:
         yield from source
 
 
-def log_image(stream: rr.RecordingStream, tracks: LineTracks, image: Frame | None, *, first: bool) -> None:
-    """Log a frame's image; where the first frame has none, a dark background for all."""
+def log_image(stream: rr.RecordingStream, image: Frame | None) -> None:
+    """Log a frame's image, if there is one."""
     if image is not None:
         stream.log("/camera/image", jpeg(to_uint8(image.image), JPEG_QUALITY))
-    elif first:
-        width, height = size_of(tracks)
-        _, encoded = cv2.imencode(".png", np.full((height, width), BACKGROUND, np.uint8))
-        background = rr.EncodedImage(contents=encoded.tobytes(), media_type="image/png")
-        stream.log("/camera/image", background, static=True)
-
-
-def size_of(tracks: LineTracks) -> tuple[int, int]:
-    """Width and height of the image, px: the camera's, or else large enough for the lines."""
-    if tracks.camera is not None:
-        return tracks.camera.width, tracks.camera.height
-    points = tracks.segments_px.reshape(-1, 2)
-    points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        return 640, 480
-    width, height = np.clip(np.ceil(points.max(axis=0) * MARGIN), 16, 16384).astype(int).tolist()
-    return width, height
 
 
 @contextmanager
@@ -112,35 +96,29 @@ def recording(
 
 
 def replay(path: Path, save: Path | None, connect: str | None) -> int:
-    """Record a file with tracks; returns how many frames it has.
-
-    What was read before an error is recorded.
+    """Record a file with tracks, as far as it can be read; returns how many frames it has.
 
     Raises:
         InputError: the file cannot be read or is damaged, the recording cannot be written, or no window can open.
     """
     from logs import read_tracks
 
-    frames = read_tracks(path)
-    images = ByStamp(images_of(path))
+    frames, images = read_tracks(path), images_of(path)
     count = 0
-    with recording("airline-frontend", path.stem, layout("minimal"), save, connect) as stream:
+    with recording("airline-frontend", path.stem, layout("minimal", image=not images.empty), save, connect) as stream:
         clock, tails = Clock(stream), Tails()
-        figures = FigureLog(stream, clock)
-        figures.name_counts()
-        try:
+        with closing(FigureLog(stream, clock)) as figures:
+            figures.name_counts()
             for tracks in frames:
                 clock.set(tracks.frame_index, tracks.stamp_ns)
                 if not count and tracks.camera is not None:
                     stream.log("/camera", pinhole(tracks.camera), static=True)
-                log_image(stream, tracks, images.at(tracks.stamp_ns), first=not count)
+                log_image(stream, images.at(tracks.stamp_ns))
                 log_tracks(stream, tracks, tails)
                 if tracks.reset is not None:
                     stream.log("/log", rr.TextLog(f"all tracks ended: {tracks.reset}", level="WARN"))
                 figures.add(tracks.frame_index, tracks.stamp_ns, track_figures(tracks))
                 count += 1
-        finally:
-            figures.flush()
     return count
 
 

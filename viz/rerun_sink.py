@@ -178,7 +178,7 @@ class RerunSink:
                 waiting.result()
         finally:
             self._worker.shutdown(cancel_futures=True)
-            self._figures.flush()
+            self._figures.close()
             self._warnings.close()
             self._destination.close()
 

@@ -34,14 +34,7 @@ def save_picture(
     size: tuple[int, int] = (1920, 1080),
     timeout_s: float = 60.0,
 ) -> list[str]:
-    """Open a recording in a headless viewer and save what it shows.
-
-    Args:
-        recording: .rrd file.
-        picture: .png file to write.
-        frame: where to put the cursor on the timeline `frame`; None is its last frame.
-        size: width and height of the viewer, px.
-        timeout_s: the viewer is stopped after so many seconds.
+    """Open a recording in a headless viewer and save what it shows at a frame; None is the last.
 
     Returns:
         What the views of the viewer complain about, one sentence each; empty when all is well.
@@ -137,12 +130,7 @@ def show_frame(client: ViewerClient, state: ViewerState, frame: int | None, pict
 
 
 def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) -> None:
-    """Draw the image and the tracks of a frame with OpenCV, in the colours of the recording.
-
-    Args:
-        recording: .rrd file.
-        picture: image file to write.
-        frame: None is the last one.
+    """Draw image and tracks of a frame, None is the last, with OpenCV in the colours of the recording.
 
     Raises:
         InputError: no such recording, no such frame, or an unwritable picture.
@@ -153,15 +141,7 @@ def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) ->
 
 
 def save_film(recording: Path, film: Path, *, start: int | None = None, end: int | None = None) -> int:
-    """Make a film of the image and the tracks, at the recording's frame rate.
-
-    Args:
-        recording: .rrd file.
-        film: .mp4 file to write.
-        start, end: first and last frame; None is the recording's.
-
-    Returns:
-        How many frames it has.
+    """Make an .mp4 of image and tracks from frame `start` to `end`, at the recording's rate; returns its length.
 
     Raises:
         InputError: no such recording, no frame between these, or an unwritable film.

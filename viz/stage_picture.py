@@ -24,15 +24,7 @@ STRIP = 22  # px of its title
 
 
 def stage_picture(gray: Picture, trace: Trace) -> Picture:
-    """Image, edges, orientations, regions, segments and scores beside each other.
-
-    Args:
-        gray: (H, W) uint8, the image.
-        trace: what the detector made of it.
-
-    Returns:
-        (h, 3 * WIDTH, 3) uint8 BGR.
-    """
+    """Grey image, edges, orientations, regions, segments and scores beside each other, BGR."""
     lines = trace.lines
     colours = track_colours(np.arange(len(lines)))
     regions = np.concatenate([np.zeros((1, 3), np.uint8), colours])
