@@ -16,11 +16,10 @@ from frontend.sources.scene import frame_of
 from line_odometry.adjust import adjust, costs
 from line_odometry.clips import OURS, TRUE_LINES, built_in, merged
 from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
-from line_odometry.mapping import map_lines
 from line_odometry.odometry import LineOdometry
 from line_odometry.pose import corners, pose_from_lines, poses_of_second
 from line_odometry.score import TrueLines, align, mapped
-from line_odometry.triangulation import triangulate
+from line_odometry.triangulation import map_lines, triangulate
 from line_odometry.views import View, gather
 from tests.frontend.test_frontend_evaluate import shared
 from tests.helpers.data_sets import write_posed
