@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -11,7 +12,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,7 +23,6 @@ from tests.helpers.command import ROOT, command, python, recorded
 from tests.helpers.ports import free_port, listening
 from tests.helpers.viewer import FRAMES, RERUN, record, saving_viewer, serving, viewers
 from viz.rerun_sink import RerunSink
-from viz.viewer import serve
 
 needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
 
@@ -60,16 +60,6 @@ def mute_port() -> Iterator[int]:
 
 def frames_in(path: Path) -> list[int]:
     return recorded(path)["/camera/tracks"]["frame"]
-
-
-def ends(holds: Callable[[], object], within_s: float = 10) -> bool:
-    """Whether a state of a viewer is over soon: a process that was killed takes a moment to go."""
-    until = time.monotonic() + within_s
-    while holds():
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def test_nobody_there_costs_one_warning(tmp_path, caplog):
@@ -158,25 +148,7 @@ def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
 
 
 @needs_rerun
-def test_web_viewer_is_for_this_machine_alone():
-    web = serve()
-    assert web is not None
-    ports = [int(part.split("/")[0]) for part in (web.url.split(":")[2], web.stream.split(":")[2])]
-    try:
-        for port in ports:
-            assert listening(port) == {"0100007F"}
-        with socket.create_connection(("127.0.0.1", ports[0])) as browser:
-            browser.sendall(b"GET / HTTP/1.0\r\n\r\n")
-            assert b"200 OK" in browser.recv(100)
-        started = set(viewers(ports[1]))
-        assert started
-    finally:
-        web.close()
-    assert ends(lambda: started & set(viewers(ports[1])))
-
-
-@needs_rerun
-def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
+def test_serving_is_for_this_machine_alone_and_goes_on_until_it_is_interrupted(clip, tmp_path):
     path = tmp_path / "run.rrd"
     with python(clip, "--serve", "--save", path, stdout=-1, stderr=-1) as run:
         lines = []
@@ -184,15 +156,20 @@ def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
             lines.append(line)
             if line.startswith("serving at"):
                 break
-        assert lines[0].startswith("watch at http://127.0.0.1:")
-        port = int(lines[1].strip().split(":")[-1].split("/")[0])
-        assert listening(port) == {"0100007F"}
+        ports = [int(re.search(r"127\.0\.0\.1:(\d+)", line)[1]) for line in lines[:2]]  # for browsers, and viewers
+        assert [listening(port) for port in ports] == [{"0100007F"}] * 2
+        with socket.create_connection(("127.0.0.1", ports[0])) as browser:
+            browser.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            assert b"200 OK" in browser.recv(100)
+        assert viewers(ports[1])
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
         _, err = run.communicate(timeout=20)
-    assert run.returncode == 0
-    assert err == ""
-    assert ends(lambda: listening(port))
+    assert (run.returncode, err) == (0, "")
+    until = time.monotonic() + 10  # a process that was killed takes a moment to go
+    while viewers(ports[1]) or listening(ports[1]):
+        assert time.monotonic() < until
+        time.sleep(0.02)
     assert frames_in(path) == list(range(8))
 
 

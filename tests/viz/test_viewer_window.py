@@ -17,7 +17,7 @@ import pytest
 from tests.helpers.command import command
 from tests.helpers.ports import free_port, listening
 from tests.helpers.viewer import viewers
-from viz.viewer import environment, open_viewer
+from viz.viewer import open_viewer, start, stop
 
 NO_SCREEN = ":4077"
 
@@ -66,21 +66,17 @@ def test_a_window_opens_and_is_used_again(monkeypatch):
 
 
 def test_the_viewer_reports_to_nobody():
-    program = Path(sys.executable).parent / "rerun"
-    if not program.exists():
+    viewer = start(free_port(), "--headless", output=subprocess.PIPE, RUST_LOG="re_analytics=debug")
+    if viewer is None:
         pytest.skip("Rerun's viewer is not installed beside this Python")
-    command = [program, "--headless", "--bind", "127.0.0.1", "--port", str(free_port())]
-    loud = {**environment(), "RUST_LOG": "re_analytics=debug"}
-    with subprocess.Popen(
-        command, env=loud, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
-    ) as viewer:
-        stop = threading.Timer(30, os.killpg, [viewer.pid, signal.SIGKILL])
-        stop.start()
+    with viewer:
+        watchdog = threading.Timer(30, stop, [viewer])
+        watchdog.start()
         try:
             said = next((line for line in viewer.stdout if b"nalytics" in line), b"nothing")
         finally:
-            stop.cancel()
-            os.killpg(viewer.pid, signal.SIGKILL)
+            watchdog.cancel()
+            stop(viewer)
     assert b"Analytics disabled" in said
 
 

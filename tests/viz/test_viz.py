@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -13,7 +11,6 @@ import pytest
 
 from frontend.colours import track_colours
 from tests.helpers.command import EVERY_FRAME as OF_A_RUN
-from tests.helpers.command import ROOT
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.pictures import (
@@ -153,11 +150,6 @@ def test_frame_without_lines_clears_what_was_shown(tmp_path, image):
     assert all(written[path]["frame"] == [0, 1] for path in EVERY_FRAME)
     assert written["/camera/tracks"]["LineStrips2D:strips"][1] == []
     assert written["/camera/segments"]["LineStrips2D:strips"][1] == []
-
-
-def test_importing_the_package_does_not_load_rerun():
-    code = "import sys, viz, viz.pictures, viz.overlay; sys.exit('rerun' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
 def test_track_colours_are_stable_bright_and_far_apart():
