@@ -97,7 +97,7 @@ class Comparison:
     def finish(self) -> str:
         """Log what is waiting; the figures of both runs, a line each."""
         self._figures.close()
-        said = [f"{self._frames} frames, {self._matched} pairs of matching lines"]
+        said = [f"{self._frames} frames that both have, {self._matched} pairs of matching lines"]
         for side, name in zip(SIDES, self._names, strict=True):
             lengths = list(self._lengths[side].values())
             lines = sum(lengths)

@@ -59,7 +59,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> int:
-    """Write an .mp4: H.264, or MPEG-4 where FFmpeg came without x264.
+    """Write a film: H.264, or MPEG-4 where FFmpeg came without x264.
 
     Args:
         path: the file, which is replaced.
@@ -78,7 +78,7 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> int:
     codec, options = ("libx264", {"crf": FILM_QUALITY}) if has_x264 else ("mpeg4", {"q": "3"})
     count = 0
     try:
-        with av.open(str(path), "w", format="mp4") as file:
+        with av.open(str(path), "w") as file:
             stream = file.add_stream(codec, rate=Fraction(fps).limit_denominator(1001), options=options)
             assert isinstance(stream, av.VideoStream)
             stream.pix_fmt = "yuv420p"

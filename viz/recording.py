@@ -47,12 +47,10 @@ class RecordedFrame:
     """What was logged for one frame.
 
     Attributes:
-        index: on the timeline `frame`.
         image: (H, W, 3) uint8 BGR; plain dark where the recording has none.
         panels: the lines over it, one list of layers for each run in the recording.
     """
 
-    index: int
     image: Picture
     panels: list[list[Strips]]
 
@@ -121,7 +119,7 @@ class Recording:
                 [_strips(*row) for row in (c.at(frame) for c in cursors) if row is not None] for cursors in layers
             ]
             picture = self._images.picture()
-            yield RecordedFrame(frame, self._dark(panels) if picture is None else picture, panels)
+            yield RecordedFrame(self._dark(panels) if picture is None else picture, panels)
 
     def _rows(self, entity: str) -> Iterator[tuple[int, Any, int]]:
         """Frame, table and row of everything that was logged to an entity, in the order of the frames."""

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +40,10 @@ needs_viewer = pytest.mark.skipif(
 
 def record(path: Path, results: Iterable[FrameResult] | None = None, **options: Any) -> dict[str, dict[str, list[Any]]]:
     """What the sink makes of results, or of `FRAMES` of the moving rectangle, read back."""
-    sink = RerunSink(save=path, **options)
-    for result in results or frame_results(FRAMES):
-        sink.write(result)
-    sink.close()
-    sink.close()
+    with closing(RerunSink(save=path, **options)) as sink:
+        for result in results or frame_results(FRAMES):
+            sink.write(result)
+        sink.close()
     return recorded(path)
 
 

@@ -20,26 +20,17 @@ from tests.helpers.command import command, recorded
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
 from tests.helpers.viewer import FRAMES, names_of_views, record
+from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
 
 TASKS = Path("/proc/self/task")
 STAGES = {f"/camera/{name}" for name in ("edges", "orientation", "regions", "segments")}
 
 
-def write_video(path: Path, codec: str = "libx264", size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
+def write_video(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
     """The moving rectangle as a video, 30 frames/s."""
-    encode(path, codec, [cv2.resize(result.frame.image, size) for result in frame_results(FRAMES)])
+    write_film(path, [cv2.resize(result.frame.image, size) for result in frame_results(FRAMES)], 30)
     return path
-
-
-def encode(path: Path, codec: str, images: list[np.ndarray]) -> None:
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=30)
-        stream.height, stream.width = images[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
-        for image in images:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-        container.mux(stream.encode(None))
 
 
 def test_raw_images_come_back_as_they_were(tmp_path):
@@ -98,24 +89,18 @@ def test_videos_that_cannot_be_shown_are_refused(tmp_path, spec, says):
     if spec == "text.mp4":
         (tmp_path / spec).write_text("no video")
     if spec == "old.avi":
-        write_video(tmp_path / spec, "mpeg4")
+        old = cv2.VideoWriter(str(tmp_path / spec), cv2.VideoWriter.fourcc(*"MP4V"), 30, (64, 48))
+        old.write(np.zeros((48, 64, 3), np.uint8))
+        old.release()
     with pytest.raises(ConfigError, match=says) as refusal:
         RerunSink(save=tmp_path / "run.rrd", image="video", video=tmp_path / spec)
     assert "use --log-image jpeg" in str(refusal.value)
 
 
 def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
-    sink = RerunSink(
-        save=tmp_path / "run.rrd", image="video", video=write_video(tmp_path / "clip.mp4", size=(160, 120))
-    )
-
-    def show() -> None:
-        sink.write(next(frame_results(1)))
-        sink.close()
-
+    video = write_video(tmp_path / "clip.mp4", size=(160, 120))
     with pytest.raises(ConfigError, match="another size"):  # as soon as the thread behind `write` has told
-        show()
-    sink.close()
+        record(tmp_path / "run.rrd", image="video", video=video)
 
 
 @pytest.mark.parametrize("flags", [["--resize", "160"], ["--undistort"]])
@@ -235,13 +220,18 @@ def test_warnings_of_our_packages_are_in_the_log_at_their_frame(tmp_path):
 
 
 def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr("viz.destination.SPARE", 2**60)
     sink = RerunSink(save=tmp_path / "run.rrd")
     first, second = frame_results(2)
     sink.write(first)
-    time.sleep(1.5)  # the disk is looked at every second
+    monkeypatch.setattr("viz.destination.SPARE", 2**60)
+
+    def go_on() -> None:
+        for _ in range(100):  # the disk is looked at every second
+            sink.write(second)
+            time.sleep(0.1)
+
     with pytest.raises(InputError, match=r"cannot write more of the recording .*MB are free: is the disk full"):
-        sink.write(second)
+        go_on()
     with pytest.raises(InputError, match="is the disk full"):
         sink.close()
     assert recorded(tmp_path / "run.rrd")["/camera/tracks"]["frame"][0] == first.frame.index
@@ -250,7 +240,7 @@ def test_a_disk_that_is_almost_full_is_said_and_the_file_is_whole(tmp_path, monk
 def test_recordings_of_the_clip_keep_to_their_size(tmp_path):
     """80 kB per frame of 320x240, 20 with a video: over few frames, in which what comes once weighs most."""
     results = clip_results()
-    encode(tmp_path / "clip.mp4", "libx264", [result.frame.image for result in results])
+    write_film(tmp_path / "clip.mp4", [result.frame.image for result in results], 30)
     for mode, limit in (("jpeg", 80_000), ("video", 20_000)):
         record(tmp_path / f"{mode}.rrd", results, image=mode, video=tmp_path / "clip.mp4")
         assert (tmp_path / f"{mode}.rrd").stat().st_size < limit * len(results)
