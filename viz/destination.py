@@ -104,12 +104,12 @@ class Destination:
         self._flush()
         self._check_file()
         # Rerun's goodbye waits for a viewer without end, even where all data has left this process
-        given_up = threading.Timer(PATIENCE_S, self._give_up, ["it takes no data"])
+        relay, given_up = self._relay, threading.Timer(PATIENCE_S, self._give_up, ["it takes no data"])
         given_up.start()
         self._stream.disconnect()
         given_up.cancel()
-        if self._relay is not None:
-            self._relay.cut()
+        if relay is not None:
+            relay.cut()
         self.check()
 
     def _abandon(self) -> None:
