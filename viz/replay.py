@@ -80,7 +80,7 @@ def recording(
     """A recording into a file, a running viewer or both, or else into a viewer's window; finished behind the block.
 
     Raises:
-        InputError: the file cannot be written, or no window can open.
+        InputError: the file cannot be written, no viewer answers, or no window can open.
     """
     if save is not None and (save.suffix.lower() != ".rrd" or not save.parent.is_dir()):
         raise InputError(f"cannot write --save {save}: give a name that ends with .rrd in a folder that exists")
@@ -89,7 +89,9 @@ def recording(
         if connect is None:
             raise InputError("no viewer window could be opened: give a file with --save FILE.rrd")
     stream = open_stream(application_id, live=connect is not None)
-    with closing(Destination(stream, save, connect)):
+    with closing(Destination(stream, save, connect)) as destination:
+        if not destination.alive:
+            raise InputError(f"there is no viewer at {connect}: start one, or give a file with --save FILE.rrd")
         stream.send_recording_name(name)
         send_blueprint(stream, blueprint)
         yield stream

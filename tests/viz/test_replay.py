@@ -110,3 +110,9 @@ def test_a_viewer_that_runs_shows_it(files, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the viewer was killed: its file has no footer
         assert_tracks(recorded(tmp_path / "received.rrd")["/camera/tracks"], len(clip_results()))
+
+
+def test_a_viewer_that_is_not_there_is_an_error(files):
+    outcome = command(files / "clip.parquet", "--connect", f"127.0.0.1:{free_port()}", main=main)
+    assert outcome.code == 2
+    assert "there is no viewer at" in outcome.err

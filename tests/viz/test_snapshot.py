@@ -126,9 +126,8 @@ def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
 def test_odd_sizes_make_a_film_too(tmp_path):
     write_film(tmp_path / "odd.mp4", [np.full((31, 45, 3), 80, np.uint8)] * 2, 12.5)
     film = cv2.VideoCapture(str(tmp_path / "odd.mp4"))
-    assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (46, 32)
+    assert film.read()[1].shape == (32, 46, 3)
     assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
-    film.release()
 
 
 def test_command_line_without_a_graphics_driver(recording, tmp_path):

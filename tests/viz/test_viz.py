@@ -38,18 +38,16 @@ def entities(path: Path) -> dict[str, dict[str, list]]:
     return record(path, descriptor_every=4)
 
 
-def test_every_entity_has_one_row_per_frame(entities):
+def test_every_entity_has_one_row_per_frame_at_its_exact_time(entities):
     rows = {path: columns["frame"] for path, columns in entities.items() if "frame" in columns}
     assert rows.keys() >= EVERY_FRAME
     assert all(rows[path] == list(range(FRAMES)) for path in EVERY_FRAME)
     assert rows["/camera/descriptor"] == [0, 4, 8]
     assert rows["/log"] == [RESET_FRAME]
+    assert entities["/log"]["TextLog:text"] == [["all tracks ended: the camera was covered"]]
     assert rows.keys() == EVERY_FRAME | {"/camera/descriptor", "/log"}
-
-
-def test_sensor_time_is_exact(entities):
-    for path in EVERY_FRAME:
-        assert entities[path]["sensor_time"] == [k * STEP_NS for k in range(FRAMES)]
+    for entity in EVERY_FRAME:
+        assert entities[entity]["sensor_time"] == [k * STEP_NS for k in range(FRAMES)]
 
 
 def test_epoch_stamps_become_timestamps(tmp_path):
@@ -87,10 +85,6 @@ def test_statistics(entities):
     assert figures("counts/confirmed") == [0, 0] + [2] * (FRAMES - 2)
     assert figures("track_length") == [0, 0, *range(2, FRAMES)]
     assert figures("time_ms/edges") == [5.0 + k for k in range(FRAMES)]
-
-
-def test_reset_is_in_the_log(entities):
-    assert entities["/log"]["TextLog:text"] == [["all tracks ended: the camera was covered"]]
 
 
 def test_pinhole_has_the_corner_convention(entities):
