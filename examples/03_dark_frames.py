@@ -15,6 +15,7 @@ from airline import AirLine
 from airline.evaluation.benchmark import lsd
 from airline.evaluation.light import BAD_LIGHT
 from airline.scenes import RenderedClip
+from viz.overlay import draw_lines
 
 parser = argparse.ArgumentParser(description="Draw the lines found in dark frames, LSD beside AirLine.")
 parser.add_argument("--out", default="dark_frames.png", help="picture to write (default: %(default)s)")
@@ -41,8 +42,7 @@ for image in images:
     for name, segments in found.items():
         print(f"{name}: {len(segments)} lines")
         panel = cv2.cvtColor(bright // 2, cv2.COLOR_GRAY2BGR)
-        for start, end in np.rint(segments * 16).astype(int).tolist():
-            cv2.line(panel, start, end, (80, 220, 255), 1, cv2.LINE_AA, 4)
+        draw_lines(panel, segments, np.full((len(segments), 3), (255, 220, 80), np.uint8), 1)
         cv2.putText(panel, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
         panels.append(panel)
     rows.append(cv2.resize(np.hstack(panels), (1600, round(1600 * image.shape[0] / (4 * image.shape[1])))))

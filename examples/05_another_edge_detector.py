@@ -8,7 +8,6 @@ run. Any object whose `detect` turns a grey image into edge probabilities will d
 import argparse
 import os
 import sys
-import time
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # else torch's threads spin, and stall on cores that others use
 
@@ -19,6 +18,9 @@ from safetensors.torch import load_file
 
 from airline import AirLine, CannyEdges, ModuleEdges
 from airline.scenes import RenderedClip
+from viz.overlay import draw_lines
+
+YELLOW = (255, 220, 80)  # RGB
 
 
 class SobelMagnitude(torch.nn.Module):
@@ -63,21 +65,14 @@ detectors = {
 if options.dexined:
     detectors["DexiNed"] = AirLine(edges=dexined(options.dexined))
 
-panels, milliseconds = [], {}
+panels = []
 for name, detect in detectors.items():
-    spent = []
-    for _ in range(6):  # the first time compiles and loads
-        start = time.perf_counter()
-        trace = detect.trace(image)
-        spent.append(1e3 * (time.perf_counter() - start))
-    milliseconds[name] = np.median(spent[1:])
-    ratio = milliseconds[name] / milliseconds["default"]
-    print(f"{name}: {len(trace.lines)} lines from {len(trace.pixels)} edge pixels")
-    print(f"{name}: {milliseconds[name]:.1f} ms per image, {ratio:.2f} times the default's")
+    trace = detect.trace(image)
+    print(f"{name}: {len(trace.lines)} lines")
+    print(f"{name}: {len(trace.pixels)} edge pixels")
     edges = cv2.cvtColor(np.uint8(255 * trace.edges), cv2.COLOR_GRAY2BGR)
     drawn = image // 2
-    for start, end in np.rint(trace.lines.segments * 16).astype(int).tolist():
-        cv2.line(drawn, start, end, (80, 220, 255), 1, cv2.LINE_AA, 4)
+    draw_lines(drawn, trace.lines.segments, np.full((len(trace.lines), 3), YELLOW, np.uint8), 1)
     cv2.putText(edges, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (80, 220, 255), 1, cv2.LINE_AA)
     panels.append(np.vstack([edges, drawn]))
 picture = np.hstack(panels)

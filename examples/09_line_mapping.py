@@ -13,9 +13,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices this small are do
 import numpy as np
 
 from line_odometry.clips import OURS, built_in
-from line_odometry.mapping import map_lines
 from line_odometry.score import mapped
-from line_odometry.show import show_lines
+from line_odometry.show import show
+from line_odometry.triangulation import map_lines
 
 parser = argparse.ArgumentParser(description="Reconstruct lines in space from tracks and known poses.")
 parser.add_argument("--frames", type=int, default=200, metavar="N", help="of the built-in clip (default: %(default)s)")
@@ -35,5 +35,5 @@ for tolerance in (0.0025, 0.005, 0.01, 0.02):
     length, precision = mapped(segments, seen.lines, tolerance)
     print(f"{100 * tolerance:25.2f} {length:34.1f} {precision:20.1f}")
 if options.save is not None:
-    show_lines(options.save, seen, segments)
+    show(options.save, seen, segments)
     print(f"saved {options.save}; look at it with: rerun {options.save}")

@@ -20,10 +20,10 @@ from rich.table import Table
 from airline.command import write_json
 from airline.errors import AirLineError
 from line_odometry.clips import LSD, OURS, TRUE_LINES, Seen, built_in, posed
-from line_odometry.mapping import map_lines
 from line_odometry.odometry import LineOdometry
 from line_odometry.score import align, mapped
 from line_odometry.show import show
+from line_odometry.triangulation import map_lines
 
 COLUMNS = {
     "ate_percent": "path error, % of its length",
@@ -49,7 +49,7 @@ def run(seen: Seen, name: str, save: Path | None = None) -> dict[str, float | No
         path = align(poses, seen.poses)
         figures.update(ate_percent=path.ate_percent, rotation_deg=path.rotation_deg)
         if save is not None:
-            show(save, seen, path, map_lines(seen.views[name], poses, seen.focal)[1])
+            show(save, seen, map_lines(seen.views[name], poses, seen.focal)[1], path)
     if seen.lines is not None:
         _, segments = map_lines(seen.views[name], seen.poses, seen.focal)
         length, precision = mapped(segments, seen.lines)

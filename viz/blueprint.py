@@ -1,4 +1,4 @@
-"""How the viewer lays a run out."""
+"""How the viewer lays recordings out; a layout goes into the recording, so that the file opens like the live view."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LINES = ("/camera/tracks", "/camera/tracks/lost", "/camera/tails")
 
 
 def layout(kind: Kind = "full", *, image: bool = True, stages: bool = True, space: bool = False) -> rrb.Blueprint:
-    """The blueprint of a run. It goes into the recording, so that the file opens like the live viewer.
+    """The blueprint of a run.
 
     Args:
         kind: minimal shows the image with its tracks, their number and the log; full adds the detector's stages and
@@ -22,24 +22,14 @@ def layout(kind: Kind = "full", *, image: bool = True, stages: bool = True, spac
     """
     below = ["/camera/image"] if image else []
     tracks = _camera_view("Tracks", *below, *LINES)
-    counts = rrb.TimeSeriesView(
-        origin="/stats/counts", name="Lines per frame", plot_legend=rrb.PlotLegend(corner="RightBottom")
-    )
+    counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="RightBottom"))
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     log = rrb.TextLogView(origin="/log", name="Log", columns=columns)
     if kind == "minimal":
-        figures = rrb.Horizontal(counts, log)
-        return _blueprint(rrb.Vertical(tracks, figures, row_shares=[4, 1]))
-    length = rrb.TimeSeriesView(
-        origin="/stats/track_length", name="Track length (frames)", plot_legend=rrb.PlotLegend(visible=False)
-    )
-    times = rrb.TimeSeriesView(
-        origin="/stats/time_ms", name="Time per stage (ms)", plot_legend=rrb.PlotLegend(corner="RightTop")
-    )
-    figures = rrb.Horizontal(counts, length, times, log)
-    beside: list[rrb.View | rrb.Container] = []
-    if space:
-        beside.append(_space_view())
+        return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(counts, log), row_shares=[4, 1]))
+    length = _plot("track_length", "Track length (frames)", rrb.PlotLegend(visible=False))
+    times = _plot("time_ms", "Time per stage (ms)", rrb.PlotLegend(corner="RightTop"))
+    beside: list[rrb.View | rrb.Container] = [_space_view()] if space else []
     if stages:
         beside.append(
             rrb.Grid(
@@ -50,12 +40,34 @@ def layout(kind: Kind = "full", *, image: bool = True, stages: bool = True, spac
                 grid_columns=2,
             )
         )
-    top = rrb.Horizontal(tracks, rrb.Vertical(*beside), column_shares=[3, 2])
-    return _blueprint(rrb.Vertical(top if beside else tracks, figures, row_shares=[3, 1]))
+    top = rrb.Horizontal(tracks, rrb.Vertical(*beside), column_shares=[3, 2]) if beside else tracks
+    return _blueprint(rrb.Vertical(top, rrb.Horizontal(counts, length, times, log), row_shares=[3, 1]))
+
+
+def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
+    """The blueprint of a comparison of two runs, with their figures below on one time axis."""
+    below = ["/camera/image"] if image else []
+    views = [
+        _camera_view(name, *below, f"/{side}/tracks", f"/{side}/unmatched")
+        for side, name in zip("ab", names, strict=True)
+    ]
+    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    plots = {
+        "lines": "Lines per frame",
+        "matched_share": "Matched lines, %",
+        "track_length": "Track length (frames)",
+        "distance": "Distance of matched lines (px)",
+    }
+    figures = [_plot(path, name, rrb.PlotLegend(visible=path == "lines"), axis) for path, name in plots.items()]
+    return _blueprint(rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*figures), row_shares=[3, 1]))
 
 
 def _blueprint(root: rrb.Container) -> rrb.Blueprint:
     return rrb.Blueprint(root, rrb.TimePanel(state="collapsed", timeline="frame"), collapse_panels=True)
+
+
+def _plot(path: str, name: str, legend: rrb.PlotLegend, axis: rrb.TimeAxis | None = None) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=f"/stats/{path}", name=name, plot_legend=legend, axis_x=axis)
 
 
 def _camera_view(name: str, *contents: str) -> rrb.Spatial2DView:
@@ -65,14 +77,11 @@ def _camera_view(name: str, *contents: str) -> rrb.Spatial2DView:
 
 def _space_view() -> rrb.Spatial3DView:
     """The camera's way is logged step by step; the view shows all steps so far."""
-    so_far = rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-            )
-            for timeline in ("frame", "sensor_time")
-        ]
-    )
+    start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in ("frame", "sensor_time")]
     return rrb.Spatial3DView(
-        origin="/", contents=["/world/**", "/camera", "/camera/image"], name="Space", overrides={"/world/path": so_far}
+        origin="/",
+        contents=["/world/**", "/camera", "/camera/image"],
+        name="Space",
+        overrides={"/world/path": rrb.VisibleTimeRanges(ranges)},
     )

@@ -1,207 +1,167 @@
-"""Two runs side by side in one recording: `python -m viz.compare A B [INPUT] [--save compare.rrd]`.
+"""Two runs on the same input side by side: `python -m viz.compare A B [--save compare.rrd | --connect HOST:PORT]`.
 
-A and B are each a file with tracks (.mcap, .parquet), or what to run on the input with: a preset, a settings file
-(.toml) or a weights file (.safetensors). Frames are matched by their stamps, lines by where they lie.
+A and B are files with tracks, of `frontend.run INPUT --out a.mcap --with-images` and, with other settings, `--out
+b.parquet`. Frames are matched by their stamps, lines by where they lie; a line of B has the colour of its match in A.
 """
 
 from __future__ import annotations
 
-import logging
-import os
+import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from collections import Counter
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from airline.command import EXIT_USER_ERROR, Parser
-from airline.config import PRESETS
-from airline.errors import AirLineError, InputError
-from viz.moments import Moment, joined
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import argparse
+from airline.command import Parser, exit_code
+from airline.errors import InputError
+from airline.evaluation.repeatability import MAX_ANGLE, MAX_DISTANCE, MIN_OVERLAP, measure_pairs
+from frontend.colours import track_colours
+from frontend.tracking.assignment import assign
+from frontend.tracks import LineTracks
+from viz.blueprint import side_by_side
+from viz.figures import Clock, FigureLog, median
+from viz.lines import log_lines, state_radii
+from viz.replay import ByStamp, images_of, log_image, recording
 
-    import rerun as rr
+SIDES = ("a", "b")
+SERIES = {"a": (255, 150, 40), "b": (60, 170, 255), "matched": (120, 220, 120)}
+UNMATCHED = np.array([[190, 190, 190]], np.uint8)
 
-    from frontend.cli.settings import RunConfig
-    from frontend.pipeline import LineFrontend
-    from frontend.protocols import Source
-    from viz.comparison import Comparison
-
-JPEG_QUALITY = 80
-EXIT_INTERRUPTED = 130
-
-log = logging.getLogger(__name__)
-
-
-def is_track_file(spec: str) -> bool:
-    """Whether a run is given by its results."""
-    return spec not in PRESETS and Path(spec).suffix.lower() in (".mcap", ".parquet", ".unfinished")
+Segments = NDArray[np.float32]
+Ids = NDArray[np.int64]
 
 
-def config_of(spec: str) -> RunConfig:
-    """The settings that a preset, a settings file or a weights file stands for; raises InputError for anything else."""
-    from frontend.cli.settings import load
+def match_lines(first: Segments, second: Segments) -> tuple[Ids, Ids, NDArray[np.float64]]:
+    """One-to-one pairs of lines (N, 2, 2) and (M, 2, 2), px, that lie over each other.
 
-    if spec in PRESETS:
-        return load(None, {"preset": spec})
-    if spec.lower().endswith(".toml"):
-        return load(Path(spec), {})
-    if spec.lower().endswith(".safetensors"):
-        return load(None, {"detector": {"edges": {"weights": spec}}})
-    raise InputError(
-        f"cannot compare '{spec}': give a file with tracks (.mcap, .parquet), a preset ({', '.join(PRESETS)}), "
-        "a settings file (.toml) or weights (.safetensors)"
-    )
-
-
-def compare(a: str, b: str, source: Source | None, open_stream: Callable[[], rr.RecordingStream]) -> Comparison:
-    """Record two runs.
-
-    Args:
-        a, b: see the module.
-        source: the input; None for two files, whose own images are used where they have some.
-        open_stream: where to record to; called when both runs have shown that they have a frame in common.
+    The measures and their bounds are those of the repeatability, see `measure_pairs`; of all ways to pair the lines,
+    that with the most overlap in total is taken, nearer pairs counting more.
 
     Returns:
-        The figures.
-
-    Raises:
-        InputError: a file or the input cannot be read, or the two have no frame in common.
+        (K,) rows of the first, ascending, (K,) rows of the second, and (K,) distances, px.
     """
-    from viz.comparison import Comparison, layout
-    from viz.track_recording import size_of
-
-    names = f"A: {name_of(a)}", f"B: {name_of(b)}"
-    comparison: Comparison | None = None
-    for moments in joined(open_streams(a, b, source), (a, b)):
-        first, second = (tracks for moment in moments for tracks in moment.tracks)
-        if is_track_file(a) and not is_track_file(b):  # runs come first
-            first, second = second, first
-        if comparison is None:
-            stream = open_stream()
-            stream.send_blueprint(layout(names, size_of(first)))
-            comparison = Comparison(stream, names)
-        comparison.write(first, second, next((m.image for m in moments if m.image is not None), None))
-    assert comparison is not None  # or else `joined` has raised
-    return comparison
+    if not len(first) or not len(second):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # lines without length, and NaN, match nothing
+        distance, overlap, cosine = measure_pairs(first.astype(np.float64), second.astype(np.float64))
+        possible = (distance <= MAX_DISTANCE) & (overlap >= MIN_OVERLAP) & (cosine >= np.cos(MAX_ANGLE))
+        votes = np.where(possible, overlap * (1 - 0.9 * distance / MAX_DISTANCE), 0)
+    chosen = assign(votes.astype(np.float32), 1e-6)
+    rows = np.flatnonzero(chosen >= 0)
+    columns = chosen[rows].astype(np.int64)
+    return rows, columns, distance[rows, columns]
 
 
-def open_streams(a: str, b: str, source: Source | None) -> list[Iterator[Moment]]:
-    """The input with the runs on it, then the files."""
-    from frontend.pipeline import open_frontend
+class Comparison:
+    """Logs the frames of two runs, and counts.
 
-    runs = [open_frontend(config_of(spec)) for spec in (a, b) if not is_track_file(spec)]
-    files = [Path(spec) for spec in (a, b) if is_track_file(spec)]
-    streams = [] if source is None else [run_moments(source, runs)]
-    return streams + [file_moments(path, with_images=source is None) for path in files]
+    `/camera/image`, and for `/a` and `/b` each: `tracks`, coloured by the tracks of A, and `unmatched`, grey. Figures
+    are below `/stats`. Timelines are `frame` and `sensor_time`, those of A.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, names: tuple[str, str]) -> None:
+        self._stream = stream
+        self._names = names
+        self._clock = Clock(stream)
+        self._figures = FigureLog(stream, self._clock)
+        self._frames = self._matched = 0
+        self._lengths: dict[str, Counter[int]] = {side: Counter() for side in SIDES}  # frames of each track
+        for group in ("lines", "matched_share", "track_length"):
+            for name in (*SIDES, "matched") if group == "lines" else SIDES:
+                label = dict(zip(SIDES, names, strict=True)).get(name, name)
+                look = rr.SeriesLines(names=label, colors=SERIES[name], widths=1.5)
+                stream.log(f"/stats/{group}/{name}", look, static=True)
+
+    def write(self, a: LineTracks, b: LineTracks) -> None:
+        """Log the tracks of one image in both runs."""
+        self._clock.set(a.frame_index, a.stamp_ns)
+        rows, columns, distances = match_lines(a.segments_px, b.segments_px)
+        figures = {"lines/matched": float(len(rows))}
+        for side, tracks, own in (("a", a, rows), ("b", b, columns)):
+            self._log_side(f"/{side}", tracks, own, a.ids[rows])
+            self._lengths[side].update(tracks.ids.tolist())
+            figures[f"lines/{side}"] = float(len(tracks))
+            figures[f"matched_share/{side}"] = 100 * len(rows) / len(tracks) if len(tracks) else 0.0
+            figures[f"track_length/{side}"] = median(tracks.ages[tracks.confirmed])
+        if len(distances):
+            figures["distance"] = float(np.median(distances))
+        self._figures.add(a.frame_index, a.stamp_ns, figures)
+        self._frames += 1
+        self._matched += len(rows)
+
+    def finish(self) -> str:
+        """Log what is waiting; the figures of both runs, a line each."""
+        self._figures.close()
+        said = [f"{self._frames} frames that both have, {self._matched} pairs of matching lines"]
+        for side, name in zip(SIDES, self._names, strict=True):
+            lengths = list(self._lengths[side].values())
+            lines = sum(lengths)
+            share = 100 * self._matched / max(lines, 1)
+            tracks = f"{len(lengths)} tracks of {median(lengths):.0f} frames (median)"
+            said.append(f"{name}: {lines} lines, {share:.1f} % of them matched, in {tracks}")
+        return "\n".join(said)
+
+    def _log_side(self, root: str, tracks: LineTracks, rows: Ids, colour_ids: Ids) -> None:
+        order = np.argsort(rows)  # ids stay ascending
+        rows, colour_ids = rows[order], colour_ids[order]
+        radii = state_radii(tracks.confirmed)
+        colours = track_colours(colour_ids, tracks.confirmed[rows])
+        log_lines(self._stream, f"{root}/tracks", tracks.segments_px[rows], colours, radii[rows], tracks.ids[rows])
+        rest = np.delete(np.arange(len(tracks)), rows)
+        segments, ids = tracks.segments_px[rest], tracks.ids[rest]
+        log_lines(self._stream, f"{root}/unmatched", segments, UNMATCHED, radii[rest], ids)
 
 
-def run_moments(source: Source, frontends: Sequence[LineFrontend]) -> Iterator[Moment]:
-    """The images of a source, and what each of the runs finds in them."""
-    import cv2
-
-    from airline.image import to_uint8
-    from frontend.cli.terminal import progress
-
-    with progress(source.name, source.frame_count) as advance:
-        for frame in source:
-            tracks = tuple(frontend.process(frame).tracks for frontend in frontends)
-            _, jpeg = cv2.imencode(".jpg", to_uint8(frame.image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-            yield Moment(frame.stamp_ns, tracks, jpeg.tobytes())
-            advance()
-
-
-def file_moments(path: Path, *, with_images: bool) -> Iterator[Moment]:
-    """The frames of a file with tracks, and its images where it has some."""
+def common_frames(a: Path, b: Path) -> Iterator[tuple[LineTracks, LineTracks]]:
+    """The tracks of both files with the same stamps; InputError where there are none."""
     from logs import read_tracks
-    from viz.track_files import images_of
-    from viz.track_recording import paired
 
-    for tracks, image in paired(read_tracks(path), images_of(path) if with_images else iter(())):
-        yield Moment(tracks.stamp_ns, (tracks,), image)
-
-
-def name_of(spec: str) -> str:
-    """A preset's name, or a file's."""
-    return spec if spec in PRESETS else Path(spec).name
-
-
-def open_input(options: argparse.Namespace) -> Source | None:
-    """The frames to run on, and to show; the built-in clip where a run needs frames and none are given."""
-    if options.input is None and is_track_file(options.a) and is_track_file(options.b):
-        return None
-    from frontend.cli.settings import load
-    from frontend.cli.wiring import open_input as open_frames
-
-    chosen = {"start": options.start, "end": options.end, "max_frames": options.max_frames}
-    return open_frames(
-        options.input, load(None, {"input": {name: value for name, value in chosen.items() if value is not None}})
-    )
+    others = ByStamp(read_tracks(b))
+    found = False
+    for first in read_tracks(a):
+        second = others.at(first.stamp_ns)
+        if second is not None:
+            found = True
+            yield first, second
+    if not found:
+        raise InputError(f"{a} and {b} have no frame in common: give two runs on the same input")
 
 
-def open_stream(save: Path | None, name: str, closed: ExitStack) -> rr.RecordingStream:
-    """A recording into a file, or into a viewer's window; finished when `closed` ends."""
-    import rerun as rr
-
-    from viz.destination import Destination, batches
-
-    address = None
-    if save is None:
-        from viz.viewer import open_viewer
-
-        address = open_viewer()
-        if address is None:
-            raise InputError("no viewer window could be opened: give a file with --save compare.rrd")
-    stream = rr.RecordingStream("airline-compare", batcher_config=batches(live=save is None))
-    stream.set_log_time_enabled(False)
-    closed.callback(Destination(stream, save, address).close)
-    stream.send_recording_name(name)
-    return stream
+def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
+    """Record two runs; returns their figures. Raises AirLineError where a file cannot be read or written."""
+    frames = common_frames(a, b)
+    first = next(frames)
+    names = f"A: {a.name}", f"B: {b.name}"
+    images = images_of(a)
+    if images.empty:
+        images = images_of(b)
+    layout = side_by_side(names, image=not images.empty)
+    with recording("airline-compare", f"{a.name} and {b.name}", layout, save, connect) as stream:
+        comparison = Comparison(stream, names)
+        for pair in chain([first], frames):
+            comparison.write(*pair)
+            log_image(stream, images.at(pair[0].stamp_ns))
+        return comparison.finish()
 
 
 def run(options: argparse.Namespace) -> None:
     """Compare, record and print the figures."""
-    if options.save is not None and (options.save.suffix.lower() != ".rrd" or not options.save.parent.is_dir()):
-        raise InputError(f"cannot write --save {options.save}: give a name that ends with .rrd in a folder that exists")
-    for spec in (options.a, options.b):
-        if is_track_file(spec) and not Path(spec).is_file():
-            raise InputError(f"cannot read tracks from '{spec}': there is no such file")
-        if not is_track_file(spec):
-            config_of(spec)
-    with ExitStack() as closed:
-        source = open_input(options)
-        if source is not None:
-            closed.enter_context(closing(source))
-        name = f"{name_of(options.a)} and {name_of(options.b)}"
-        comparison = compare(options.a, options.b, source, lambda: open_stream(options.save, name, closed))
-    from rich.console import Console
-
-    Console().print(comparison.table())
+    print(compare(options.a, options.b, options.save, options.connect))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = Parser(prog="python -m viz.compare", description="Shows two runs side by side in a Rerun recording.")
-    kinds = "file with tracks, preset, .toml or .safetensors"
-    parser.add_argument("a", metavar="A", help=kinds)
-    parser.add_argument("b", metavar="B", help=kinds)
-    parser.add_argument("input", nargs="?", metavar="INPUT", help="what to run on: video, folder, log (built-in clip)")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record into this file instead of a viewer")
-    parser.add_argument("--start", type=float, metavar="S", help="skip the first S seconds of INPUT")
-    parser.add_argument("--end", type=float, metavar="S", help="stop S seconds after its first frame")
-    parser.add_argument("--max-frames", type=int, metavar="N", help="stop after N frames")
-    options = parser.parse_args(arguments)
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as in frontend.run
-    try:
-        run(options)
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
-    return 0
+    parser.add_argument("a", type=Path, metavar="A", help="file with tracks: .mcap, .parquet")
+    parser.add_argument("b", type=Path, metavar="B", help="another of the same input")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record into this file instead of a window")
+    parser.add_argument("--connect", metavar="HOST:PORT", help="show in a viewer that runs already")
+    return exit_code(run, parser.parse_args(arguments))
 
 
 if __name__ == "__main__":

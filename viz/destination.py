@@ -3,44 +3,55 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import logging
 import shutil
+import socket
 import threading
-import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import rerun as rr
 
 from airline.errors import ConfigError, InputError
-from viz.relay import Relay
+from viz.rerun_private import drop_closed_streams
 from viz.viewer import PORT
 
-BEAT_S = 1.0  # how often data is pushed out: what a killed run loses at most, and what a stuck viewer may hold
-STUCK_S = 2.0  # a viewer that takes nothing for so long is given up
-BEHIND_S = 10.0  # as is one that is so far behind
+BEAT_S = 1.0  # how often data is pushed out: what a killed run loses at most
+PATIENCE_S = 4.0  # a viewer that has not taken all data by then is given up; until then it waits in memory
 SPARE = 50_000_000  # bytes of a disk that are left free: Rerun may wait forever for a writer that a full disk has ended
+CONNECT_S = 2.0
 
 log = logging.getLogger(__name__)
 
 
-def batches(live: bool) -> rr.ChunkBatcherConfig:
-    """How long rows wait for others: long rows of like data are smaller in a file; a viewer should not lag behind."""
-    config = rr.ChunkBatcherConfig.DEFAULT()
-    config.flush_tick = 0.1 if live else BEAT_S
-    return config
+def open_stream(application_id: str, *, live: bool) -> rr.RecordingStream:
+    """A stream that is not connected to anything yet, without the two timelines of Rerun's that nobody asked for.
+
+    Rows of like data wait for each other, which makes a file smaller; for a viewer, `live`, they wait shorter.
+    """
+    drop_closed_streams()
+    batches = rr.ChunkBatcherConfig.DEFAULT()
+    batches.flush_tick = 0.1 if live else BEAT_S
+    stream = rr.RecordingStream(application_id, batcher_config=batches)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
 
 
 class Destination:
     """Carries a stream into a file and to a viewer, in the background.
 
-    Every second all that was logged is pushed out. A viewer that is absent, dies, or does not keep up is given up with
-    one warning; until then, not more than about ten seconds of data wait for it.
+    Every second all that was logged is pushed out. A viewer that is absent, dies, or has not taken it within
+    `PATIENCE_S` is given up with one warning.
 
     Args:
-        stream: the recording, not yet connected to anything.
+        stream: the recording, of `open_stream`.
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
+
+    Attributes:
+        alive: whether data goes anywhere.
 
     Raises:
         InputError: the file cannot be written.
@@ -50,24 +61,24 @@ class Destination:
     def __init__(self, stream: rr.RecordingStream, save: Path | None, connect: str | None) -> None:
         self._stream = stream
         self._save = save
-        self._address = connect
+        self._connect = connect
         self._file_error: str | None = None
-        relay = None if connect is None else _relay_to(connect)
-        file = None if save is None else _file_sink(save)
-        self._relay = relay
-        self.alive = file is not None or relay is not None
-        self._stop = threading.Event()
-        self._beat = threading.Thread(target=self._push_out, name="rerun-flush", daemon=True)
+        self._relay = None if connect is None else _relay_to(connect)
+        sinks: list[rr.FileSink | rr.GrpcSink] = [] if save is None else [_file_sink(save)]
+        if self._relay is not None:
+            sinks.append(rr.GrpcSink(self._relay.url))
+        self.alive = bool(sinks)
         if not self.alive:  # a stream without any sink would keep the whole run in memory
             return
-        sinks = [file] if file is not None else []
         try:
-            stream.set_sinks(*sinks, *([rr.GrpcSink(relay.url)] if relay is not None else []))
+            stream.set_sinks(*sinks)
         except RuntimeError as reason:
             raise InputError(f"cannot write the recording {save} ({reason}): free some space") from None
         self._place = None if save is None else _place(save)
+        self._stop = threading.Event()
+        self._beat = threading.Thread(target=self._push_out, name="rerun-flush", daemon=True)
         self._beat.start()
-        atexit.register(self._abandon)  # at the exit Rerun waits for a thread that is still flushing, and it for Rerun
+        atexit.register(self._abandon)
 
     def check(self) -> None:
         """Raise what went wrong with the file in the background.
@@ -91,93 +102,96 @@ class Destination:
         self._stop.set()
         self._beat.join()
         self._flush()
-        self._check_place()
-        over = threading.Event()
-        threading.Thread(target=self._cut_if_stuck, args=(over,), name="rerun-end", daemon=True).start()
+        self._check_file()
+        # Rerun's goodbye waits for a viewer without end, even where all data has left this process
+        relay, given_up = self._relay, threading.Timer(PATIENCE_S, self._give_up, ["it takes no data"])
+        given_up.start()
         self._stream.disconnect()
-        over.set()
-        if self._relay is not None:
-            self._relay.cut()
+        given_up.cancel()
+        if relay is not None:
+            relay.cut()
         self.check()
 
-    def _cut_if_stuck(self, over: threading.Event) -> None:
-        """Rerun's last goodbye may wait for a viewer for ever, even if its flush did not."""
-        relay, moved = self._relay, -1
-        while relay is not None and not over.wait(STUCK_S):
-            if relay.moved == moved:
-                self._give_up("it takes no data")
-                return
-            moved = relay.moved
-
     def _abandon(self) -> None:
-        """What nobody has closed must not keep the interpreter from ending."""
+        """At the exit, what nobody has closed must not keep the interpreter from ending."""
         self._stop.set()
-        self._beat.join(BEHIND_S)
+        self._beat.join(PATIENCE_S + BEAT_S)
         if self._relay is not None:
             self._relay.cut()
 
     def _push_out(self) -> None:
         while not self._stop.wait(BEAT_S):
-            if self._check_place():
-                self._check_space()
+            self._check_file(SPARE)
             self._flush()
 
-    def _check_place(self) -> bool:
-        if self._save is not None and _place(self._save) != self._place:
+    def _check_file(self, least_free: int = 0) -> None:
+        if self._save is None or self._file_error is not None:
+            return
+        if _place(self._save) != self._place:
             self._file_error = "it was removed or moved while it was written; leave it in its place"
-        return self._file_error is None
-
-    def _check_space(self) -> None:
-        if self._save is not None and shutil.disk_usage(self._save.absolute().parent).free < SPARE:
-            self._file_error = f"less than {SPARE / 1e6:.0f} MB are free: is the disk full?"
+        elif shutil.disk_usage(self._save.absolute().parent).free < least_free:
+            self._file_error = f"less than {least_free / 1e6:.0f} MB are free: is the disk full?"
 
     def _flush(self) -> None:
-        """Wait until everything logged so far has arrived, or until there is no hope of that."""
-        begin = time.monotonic()
-        while True:
-            moved = 0 if self._relay is None else self._relay.moved
-            try:
-                self._stream.flush(timeout_sec=STUCK_S)
-            except RuntimeError as reason:
-                text = str(reason)
-                if "File-writer" in text:
-                    self._file_error = f"{text}: is the disk full?"
-                elif self._relay is None:
-                    pass  # a viewer that was given up before
-                elif "timed out" not in text:
-                    self._give_up("it has gone")
-                elif self._relay.moved == moved:
-                    self._give_up("it takes no data")
-                elif time.monotonic() - begin > BEHIND_S:
-                    self._give_up(f"it is more than {BEHIND_S:g} s behind")
-                else:
-                    continue
-            return
+        """Wait until everything logged so far has arrived; a viewer that takes too long is given up."""
+        try:
+            self._stream.flush(timeout_sec=PATIENCE_S)
+        except RuntimeError as reason:
+            if "File-writer" in str(reason):
+                self._file_error = f"{reason}: is the disk full?"
+            else:
+                self._give_up("it takes no data, or too slowly" if "timed out" in str(reason) else "it has gone")
 
     def _give_up(self, why: str) -> None:
         if self._relay is not None:
             self._relay.cut()
             self._relay = None
-            log.warning("lost the Rerun viewer at %s (%s): going on without it", self._address, why)
+            log.warning("lost the Rerun viewer at %s (%s): going on without it", self._connect, why)
 
 
-def _place(path: Path) -> tuple[int, int] | None:
-    """Which file is under this name, None if there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
+class Relay:
+    """Passes bytes between Rerun's sender in this process and a viewer, until it is cut.
+
+    The sender keeps all data for a viewer that takes none, and waits for it without end: Rerun has no setting for that
+    (0.41). Behind a relay it sees its connection break, and lets go.
+
+    Raises:
+        OSError: nobody listens at the viewer's address.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._viewer = socket.create_connection((host, port), CONNECT_S)
+        self._viewer.settimeout(None)
+        server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
+        threading.Thread(target=self._serve, args=(server,), name="viewer-relay", daemon=True).start()
+
+    def cut(self) -> None:
+        """Break the connection; safe to call twice."""
+        with contextlib.suppress(OSError):
+            self._viewer.shutdown(socket.SHUT_RDWR)
+
+    def _serve(self, server: socket.socket) -> None:
+        with server, self._viewer:
+            server.settimeout(10 * CONNECT_S)
+            with contextlib.suppress(OSError):
+                sender, _ = server.accept()  # the only one: Rerun does not connect again
+                server.close()
+                with sender:
+                    back = threading.Thread(target=_copy, args=(self._viewer, sender), daemon=True)
+                    back.start()
+                    _copy(sender, self._viewer)
+                    back.join()
 
 
-def _file_sink(path: Path) -> rr.FileSink:
-    try:
-        path.open("wb").close()
-    except OSError as reason:
-        raise InputError(
-            f"cannot write the recording {path} ({reason.strerror}): choose a file in a folder you may write to"
-        ) from reason
-    return rr.FileSink(path)
+def _copy(source: socket.socket, target: socket.socket) -> None:
+    """Pass on what comes until either end closes, then close the other one too."""
+    with contextlib.suppress(OSError):
+        while part := source.recv(1 << 16):
+            target.sendall(part)
+    for end in (source, target):
+        with contextlib.suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
 
 
 def _relay_to(address: str) -> Relay | None:
@@ -194,3 +208,22 @@ def _relay_to(address: str) -> Relay | None:
     except OSError as reason:
         log.warning("no Rerun viewer answers at %s (%s): going on without it", address, reason)
         return None
+
+
+def _file_sink(path: Path) -> rr.FileSink:
+    try:
+        path.open("wb").close()
+    except OSError as reason:
+        raise InputError(
+            f"cannot write the recording {path} ({reason.strerror}): choose a file in a folder you may write to"
+        ) from reason
+    return rr.FileSink(path)
+
+
+def _place(path: Path) -> tuple[int, int] | None:
+    """Which file is under this name, None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

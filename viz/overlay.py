@@ -1,65 +1,94 @@
-"""Lines drawn into an image with OpenCV, without any viewer."""
+"""Lines drawn into images with OpenCV, without any viewer, and what is drawn written into files."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.colours import track_colours
-from frontend.tracks import LineTracks
+from airline.errors import InputError
 
 if TYPE_CHECKING:
     from viz.recording import RecordedFrame
 
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel coordinates
 FAR = 1e6  # px; what lies farther out is no line in the picture
-CONFIRMED, TENTATIVE = 2, 1  # line widths, px
+FILM_QUALITY = "20"  # H.264's constant rate factor: thin coloured lines stay clear
+JPEG_QUALITY = 85
 
 Picture = NDArray[np.uint8]
 
 
-def draw_tracks(image: Picture, tracks: LineTracks) -> Picture:
-    """A copy of an image with its tracks, in the viewer's colours.
-
-    Args:
-        image: (H, W) grey or (H, W, 3) BGR uint8.
-        tracks: what was seen in it; confirmed tracks are drawn last and thicker.
-
-    Returns:
-        (H, W, 3) uint8 BGR.
-    """
-    canvas = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image.copy()
-    colours = track_colours(tracks.ids, tracks.confirmed)
-    for k in np.argsort(tracks.confirmed, kind="stable").tolist():
-        _draw(canvas, tracks.segments_px[k], colours[k], CONFIRMED if tracks.confirmed[k] else TENTATIVE)
-    return canvas
+def draw_lines(
+    canvas: Picture, lines: Iterable[NDArray[np.float32]], colours: NDArray[np.uint8], widths: NDArray[np.int_] | int
+) -> None:
+    """Draw N polylines (P, 2) into a BGR picture, thin ones first, with (N, 3) RGB and (N,) widths, px, or one."""
+    points = list(lines)
+    widths = np.broadcast_to(widths, len(points))
+    for k in np.argsort(widths, kind="stable").tolist():
+        if (np.abs(points[k]) < FAR).all():  # which NaN is not
+            fixed = np.rint(points[k] * (1 << SHIFT)).astype(np.int32)
+            cv2.polylines(canvas, [fixed], False, colours[k, ::-1].tolist(), int(widths[k]), cv2.LINE_AA, SHIFT)
 
 
 def draw_frame(frame: RecordedFrame) -> Picture:
-    """A recorded frame's image with its lines, as they are coloured in the recording; two runs stand side by side.
-
-    Returns:
-        (H, W, 3) uint8 BGR; W is that of all panels together.
-    """
+    """A recorded frame's image with its lines, BGR, in the colours of the recording; two runs stand side by side."""
     panels = []
     for layers in frame.panels:
         canvas = frame.image.copy()
         for strips in layers:
-            below = canvas.copy()
-            for k in np.argsort(strips.widths, kind="stable").tolist():
-                _draw(canvas, strips.points[k], strips.colours[k, :3], int(strips.widths[k]))
-            opacity = strips.colours[0, 3] / 255 if len(strips.colours) else 1.0  # one for all lines of a layer
-            if opacity < 1:
-                cv2.addWeighted(canvas, opacity, below, 1 - opacity, 0, dst=canvas)
+            draw_lines(canvas, strips.points, strips.colours, strips.widths)
         panels.append(canvas)
     return np.hstack(panels)
 
 
-def _draw(canvas: Picture, points: NDArray[np.float32], rgb: NDArray[np.uint8], width: int) -> None:
-    if not (np.abs(points) < FAR).all():  # NaN included
-        return
-    fixed = np.rint(points * (1 << SHIFT)).astype(np.int32)
-    cv2.polylines(canvas, [fixed], False, rgb[::-1].tolist(), width, cv2.LINE_AA, SHIFT)
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a .png or .jpg file; InputError where that cannot be."""
+    quality = [] if path.suffix.lower() == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    try:
+        written = cv2.imwrite(str(path), picture, quality)
+    except cv2.error:  # an ending that OpenCV does not know
+        written = False
+    if not written:
+        raise InputError(f"cannot write {path}: give a .png or .jpg file in a folder you may write to")
+
+
+def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> int:
+    """Write a film: H.264, or MPEG-4 where FFmpeg came without x264.
+
+    Args:
+        path: the file, which is replaced.
+        pictures: (H, W, 3) uint8 BGR, all of one size; an odd last row or column is doubled, as video needs even sizes.
+        fps: frames per second.
+
+    Returns:
+        How many frames it has.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    import av
+
+    has_x264 = "libx264" in av.codecs_available
+    codec, options = ("libx264", {"crf": FILM_QUALITY}) if has_x264 else ("mpeg4", {"q": "3"})
+    count = 0
+    try:
+        with av.open(str(path), "w") as file:
+            stream = file.add_stream(codec, rate=Fraction(fps).limit_denominator(1001), options=options)
+            assert isinstance(stream, av.VideoStream)
+            stream.pix_fmt = "yuv420p"
+            for picture in pictures:
+                even = np.pad(picture, ((0, picture.shape[0] % 2), (0, picture.shape[1] % 2), (0, 0)), mode="edge")
+                if not count:
+                    stream.height, stream.width = even.shape[:2]
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(even, format="bgr24")))
+                count += 1
+            file.mux(stream.encode())
+    except OSError as reason:
+        raise InputError(f"cannot write the film {path} ({reason.strerror}): choose another file") from reason
+    return count

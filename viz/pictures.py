@@ -1,13 +1,32 @@
-"""What the detector computed, as small pictures."""
+"""What the detector computed, as small pictures, and their colours."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.trace import Trace
-from viz.colours import ANGLES, STRENGTHS, orientation_palette
+from frontend.colours import hsv_to_rgb
+
+ANGLES, STRENGTHS = 60, 4  # that colours tell apart: 3 degrees, and quarters of the edge probability
+MIN_STRENGTH = 0.35
+QUIET = (255, 196, 64)  # segments, which are not yet part of any track, RGB
+
+
+@cache
+def orientation_palette() -> NDArray[np.uint8]:
+    """(1 + ANGLES * STRENGTHS, 3) uint8 RGB: black, then each angle in all strengths.
+
+    A half turn of an undirected line is once around the hue circle, from red at 0. An edge is brighter the more
+    probable it is, but never darker than `MIN_STRENGTH`.
+    """
+    angle, strength = np.divmod(np.arange(ANGLES * STRENGTHS), STRENGTHS)
+    value = MIN_STRENGTH + (1 - MIN_STRENGTH) * strength / (STRENGTHS - 1)
+    colours = hsv_to_rgb(angle / ANGLES, np.full(len(angle), 0.75), value)
+    return np.concatenate([np.zeros((1, 3), np.uint8), colours])
 
 
 def edge_image(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
@@ -43,7 +62,7 @@ def coarse_descriptors(trace: Trace, step: int = 4) -> NDArray[np.float32]:
 def orientation_classes(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
     """(H / step, W / step) uint8, rounded up: angle and edge probability of one edge pixel out of each cell.
 
-    Row of `viz.colours.orientation_palette`, which says what each stands for; 0 where there is no edge pixel.
+    Row of `orientation_palette`, which says what each stands for; 0 where there is no edge pixel.
     """
     height, width = _cells(trace, step)
     angle = np.rint(line_angles(trace.descriptors) * np.float32(ANGLES / np.pi)).astype(np.uint8) % ANGLES
@@ -62,16 +81,7 @@ def orientation_image(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
 
 
 def region_image(trace: Trace, classes: NDArray[np.uint16], step: int = 1) -> NDArray[np.uint16]:
-    """Which pixels support which line.
-
-    Args:
-        trace: the detector's results.
-        classes: (N,) uint16 number to draw the region of each line with.
-        step: cells of step x step px show one of their pixels.
-
-    Returns:
-        (H / step, W / step) uint16, rounded up; 0 where no pixel supports a line.
-    """
+    """(H / step, W / step) uint16, rounded up: the class (N,) of the line that a pixel of each cell supports, or 0."""
     height, width = _cells(trace, step)
     picture = np.zeros(height * width, np.uint16)
     supporting = np.flatnonzero(trace.labels >= 0)

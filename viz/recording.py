@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from airline.errors import InputError
-from viz.recorded_images import Picture, RecordedImages
+from airline.image import to_uint8
+from viz.rerun_private import CORNER
 
 IMAGE = "/camera/image"
 ROOTS = (("/camera",), ("/a", "/b"))  # of a run, and of a comparison of two
 LAYERS = ("tails", "tracks/lost", "unmatched", "tracks")  # below each root, the lowest first
-CORNER = 0.5  # Rerun puts (0, 0) at the corner of the top-left pixel, we put it at its centre
 BACKGROUND = 30  # grey level where a recording has no images
 WIDE_POINTS = 4 / 3  # pixels of line width per point of radius: 2 for confirmed tracks, 1 for all others
+CHANNELS = {1: 1, 4: 3}  # of the colour models that the sink writes, by Rerun's numbers: L and BGR
+
+Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Polylines of one look.
+    """Polylines of one layer.
 
     Attributes:
-        points: of each polyline, (P, 2) float32 px.
-        colours: (N, 4) uint8 RGBA.
+        points: N of (P, 2) float32 px.
+        colours: (N, 3) uint8 RGB.
         widths: (N,) px.
     """
 
@@ -42,14 +47,10 @@ class RecordedFrame:
     """What was logged for one frame.
 
     Attributes:
-        index: on the timeline `frame`.
-        time_ns: sensor time, None where the recording has none.
         image: (H, W, 3) uint8 BGR; plain dark where the recording has none.
         panels: the lines over it, one list of layers for each run in the recording.
     """
 
-    index: int
-    time_ns: int | None
     image: Picture
     panels: list[list[Strips]]
 
@@ -60,6 +61,10 @@ class Recording:
     Args:
         path: the file.
 
+    Attributes:
+        indices: of all frames, ascending.
+        fps: frames per second, by the median distance in time of consecutive frames; 30 where the times do not tell.
+
     Raises:
         InputError: it cannot be read, or has no tracks.
     """
@@ -68,70 +73,58 @@ class Recording:
         if not path.is_file():
             raise InputError(f"there is no recording {path}: give an .rrd file")
         self._path = path
-        paths: set[str] = set()
-        frames: dict[str, dict[int, int | None]] = {}
-        self._static: list[Any] = []  # what stands for the image in all frames
+        self._paths: set[str] = set()
+        self._images = _Images()
         self._size: tuple[int, int] | None = None
+        times: dict[str, dict[int, int]] = {}
         for chunk in self._chunks():
-            paths.add(chunk.entity_path)
+            self._paths.add(chunk.entity_path)
             rows = chunk.to_record_batch()
-            if chunk.entity_path.endswith("/tracks") and "frame" in rows.schema.names:
-                frames.setdefault(chunk.entity_path, {}).update(_times(rows))
+            names = rows.schema.names
+            if chunk.entity_path.endswith("/tracks") and "frame" in names:
+                stamps = rows.column("sensor_time" if "sensor_time" in names else "frame").cast("int64").to_pylist()
+                frames = rows.column("frame").to_pylist()
+                times.setdefault(chunk.entity_path, {}).update(zip(frames, stamps, strict=True))
             if chunk.is_static and chunk.entity_path == IMAGE:
-                self._static.append(rows)
-            if "Pinhole:resolution" in rows.schema.names and self._size is None:
+                self._images.take(rows, 0)
+            if "Pinhole:resolution" in names and self._size is None:
                 width, height = rows.column("Pinhole:resolution")[0].values[0].as_py()
                 self._size = int(width), int(height)
-        self._roots = next((roots for roots in ROOTS if f"{roots[0]}/tracks" in frames), ())
+        self._roots = next((roots for roots in ROOTS if f"{roots[0]}/tracks" in times), ())
         if not self._roots:
             raise InputError(f"the recording {path} has no tracks on a timeline 'frame': give one of this project")
-        self._paths = paths
-        self._times = dict(sorted(frames[f"{self._roots[0]}/tracks"].items()))
-
-    @property
-    def indices(self) -> list[int]:
-        """All frames, ascending."""
-        return list(self._times)
-
-    @property
-    def fps(self) -> float:
-        """Frames per second, by the median distance in time of consecutive frames; 30 where the times do not tell."""
-        times = np.array([time for time in self._times.values() if time is not None], np.int64)
-        step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        return 1e9 / step if step > 0 else 30.0
+        found = times[f"{self._roots[0]}/tracks"]
+        self.indices = sorted(found)
+        step = float(np.median(np.diff([found[k] for k in self.indices]))) if len(found) > 1 else 0.0
+        self.fps = 1e9 / step if step > 1 else 30.0  # without times, frames are one apart
 
     def at(self, index: int) -> int:
         """The frame that is shown at an index: the latest one up to there. Raises InputError outside of all frames."""
-        first, last = min(self._times), max(self._times)
+        first, last = self.indices[0], self.indices[-1]
         if not first <= index <= last:
             raise InputError(f"there is no frame {index}: choose one from {first} to {last}")
-        return max(frame for frame in self._times if frame <= index)
+        return max(frame for frame in self.indices if frame <= index)
 
     def frames(self, start: int | None = None, end: int | None = None) -> Iterator[RecordedFrame]:
-        """Frames from `start` to `end`, both included, in bounded memory."""
-        image = RecordedImages()
-        for rows in self._static:
-            image.take(rows, 0)
+        """Frames from `start` to `end`, both included, in bounded memory; to be asked for once."""
         images = _Cursor(self._rows(IMAGE))
         layers = [[_Cursor(self._rows(f"{root}/{name}")) for name in LAYERS] for root in self._roots]
-        for frame, time_ns in self._times.items():
+        for frame in self.indices:
             if (start is not None and frame < start) or (end is not None and frame > end):
                 continue
             row = images.at(frame)
             if row is not None:
-                image.take(*row)
+                self._images.take(*row)
             panels = [
                 [_strips(*row) for row in (c.at(frame) for c in cursors) if row is not None] for cursors in layers
             ]
-            picture = image.picture()
-            yield RecordedFrame(frame, time_ns, self._dark(panels) if picture is None else picture, panels)
+            picture = self._images.picture()
+            yield RecordedFrame(self._dark(panels) if picture is None else picture, panels)
 
     def _rows(self, entity: str) -> Iterator[tuple[int, Any, int]]:
         """Frame, table and row of everything that was logged to an entity, in the order of the frames."""
-        if entity not in self._paths:
-            return
         last = -1
-        for chunk in self._chunks(entity):
+        for chunk in self._chunks(entity) if entity in self._paths else ():
             rows = chunk.to_record_batch()
             frames = rows.column("frame").to_numpy()
             for k in np.argsort(frames, kind="stable").tolist():
@@ -171,16 +164,60 @@ class _Cursor:
         return self._latest
 
 
+class _Images:
+    """The image of the row that was taken last, in whatever form it was logged: JPEG, raw pixels or a video's frame."""
+
+    def __init__(self) -> None:
+        self._row: tuple[Any, int] | None = None
+        self._video: Iterator[Any] = iter(())
+        self._shown: Any = None
+        self._next: Any = None
+
+    def take(self, rows: Any, k: int) -> None:
+        if "AssetVideo:blob" in rows.schema.names:
+            import av
+
+            self._video = av.open(io.BytesIO(_bytes(rows, k, "AssetVideo:blob")), "r").decode(video=0)
+            self._shown = self._next = next(self._video, None)
+        else:
+            self._row = rows, k
+
+    def picture(self) -> Picture | None:
+        """(H, W, 3) uint8 BGR, None without any."""
+        if self._row is None:
+            return None
+        rows, k = self._row
+        image: Any = None
+        if "EncodedImage:blob" in rows.schema.names:
+            image = cv2.imdecode(np.frombuffer(_bytes(rows, k, "EncodedImage:blob"), np.uint8), cv2.IMREAD_COLOR)
+        elif "Image:buffer" in rows.schema.names:
+            stated = rows.column("Image:format")[k].as_py()[0]
+            shape = stated["height"], stated["width"], CHANNELS[stated["color_model"]]
+            data = _bytes(rows, k, "Image:buffer")
+            pixels = np.frombuffer(data, np.uint8 if len(data) == np.prod(shape) else np.uint16).reshape(shape)
+            image = np.repeat(to_uint8(pixels), 3 // shape[2], axis=2)
+        elif self._next is not None or self._shown is not None:
+            time_ns = rows.column("VideoFrameReference:timestamp")[k].as_py()[0]
+            while self._next is not None and round((self._next.time or 0) * 1e9) <= time_ns + 500:
+                self._shown, self._next = self._next, next(self._video, None)
+            image = self._shown.to_ndarray(format="bgr24")
+        return None if image is None else np.asarray(image, np.uint8)
+
+
+def _bytes(rows: Any, k: int, name: str) -> bytes:
+    return rows.column(name)[k].values[0].values.to_numpy().tobytes()  # type: ignore[no-any-return]
+
+
 def _strips(rows: Any, k: int) -> Strips:
     lists = rows.column("LineStrips2D:strips")[k].values
     if lists is None or not len(lists):
-        return Strips([], np.zeros((0, 4), np.uint8), np.zeros(0, int))
-    points = lists.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 2) - np.float32(CORNER)
+        return Strips([], np.zeros((0, 3), np.uint8), np.zeros(0, int))
+    points = lists.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 2) - CORNER
     colours = _column(rows, k, "LineStrips2D:colors", 0xFFFFFFFF, len(lists)).astype(np.uint32)
     radii = _column(rows, k, "LineStrips2D:radii", -0.75, len(lists))
     return Strips(
         np.split(points, np.cumsum(lists.value_lengths().to_numpy())[:-1]),
-        np.stack([colours >> shift & 255 for shift in (24, 16, 8, 0)], axis=1).astype(np.uint8),
+        np.stack([colours >> shift & 255 for shift in (24, 16, 8)], axis=1).astype(np.uint8),
         np.maximum(np.rint(np.abs(radii) * WIDE_POINTS), 1).astype(int),  # radii below 0 are points of the screen
     )
 
@@ -190,12 +227,3 @@ def _column(rows: Any, k: int, name: str, default: float, count: int) -> NDArray
     found = rows.column(name)[k].as_py() if name in rows.schema.names else None
     values = np.array(found or [default])
     return values[np.minimum(np.arange(count), len(values) - 1)]
-
-
-def _times(rows: Any) -> dict[int, int | None]:
-    """Sensor time of each frame, ns."""
-    frames = rows.column("frame").to_pylist()
-    name = next((name for name in ("sensor_time", "video_time") if name in rows.schema.names), None)
-    return dict(
-        zip(frames, [None] * len(frames) if name is None else rows.column(name).cast("int64").to_pylist(), strict=True)
-    )

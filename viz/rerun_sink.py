@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
@@ -16,20 +18,17 @@ from airline.errors import AirLineError, ConfigError
 from airline.image import to_uint8
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
-from viz.blobs import jpeg
 from viz.blueprint import Kind, layout
-from viz.destination import Destination, batches
-from viz.log_lines import LogLines
-from viz.space import Poses, log_lines_3d, log_world, pinhole
+from viz.destination import Destination, open_stream
+from viz.figures import Clock, FigureLog, track_figures
+from viz.lines import Space, Tails, log_tracks, pinhole
+from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
-from viz.statistics import FigureLog, log_series
-from viz.streams import open_stream, send_blueprint
-from viz.track_lines import Tails, log_tracks
 from viz.video import VideoReferences
 
-YEAR_2000_NS = 946_684_800_000_000_000
 WAITING = 4  # frames that may wait to be logged
-FIGURES_WAIT_S, FIGURES_WAIT_LIVE_S = 0.5, 0.1
+PACKAGES = ("airline", "frontend", "logs", "viz")
+LEVELS = {logging.WARNING: "WARN", logging.ERROR: "ERROR", logging.CRITICAL: "CRITICAL"}
 
 ImageMode = Literal["jpeg", "raw", "video", "none"]
 
@@ -79,38 +78,35 @@ class RerunSink:
             raise ConfigError("to log the input as a video, name its file: use another kind of image otherwise")
         self._image = image
         self._video = VideoReferences(video) if image == "video" and video is not None else None
+        self._stages = self._video is None
         self._blueprint = blueprint
         self._every = every
-        self._stages = self._video is None
         self._descriptor_every = descriptor_every if self._stages else 0
         self._jpeg_quality = jpeg_quality
         self._frames = 0
         self._closed = False
-        self._has_camera = self._has_space = False
+        self._has_camera = False
         self._now: Frame | None = None
         self._worker = ThreadPoolExecutor(1, "rerun-sink")
         self._pending: deque[Future[None]] = deque()
-        self._epoch = False
-        self._tails = Tails()
-        self._poses = Poses()
+        self._tails = Tails() if self._stages else None
+        self._space: Space | None = None
 
-        self._application_id = application_id
-        self._stream = open_stream(application_id, batches(live=connect is not None))
-        self._stream.set_log_time_enabled(False)  # two timelines that nobody asked for, and their bytes
-        self._stream.set_log_tick_enabled(False)
-        self._figures = FigureLog(self._stream, FIGURES_WAIT_S if connect is None else FIGURES_WAIT_LIVE_S)
-        self._log_lines = LogLines(self.log)
+        self._stream = open_stream(application_id, live=connect is not None)
+        self._clock = Clock(self._stream)
+        self._figures = FigureLog(self._stream, self._clock, 0.5 if connect is None else 0.1)
+        self._warnings = WarningLog(self.log)
         try:
             self._destination = Destination(self._stream, None if save is None else Path(save), connect)
         except AirLineError:
-            self._log_lines.close()
+            self._warnings.close()
             raise
         if not self._destination.alive:
             self.close()
             return
         self._stream.send_recording_name(name or application_id)
         self._send_layout()
-        log_series(self._stream)
+        self._figures.name_counts()
         if self._stages:
             log_colours(self._stream)
         if self._video is not None:
@@ -126,8 +122,6 @@ class RerunSink:
         if self._closed:
             return
         self._destination.check()
-        if self._now is None:  # a timeline cannot change its type within a recording
-            self._epoch = result.frame.stamp_ns >= YEAR_2000_NS
         self._now = result.frame
         if result.tracks.reset is not None:
             self.log(f"all tracks ended: {result.tracks.reset}", "WARN")
@@ -141,7 +135,7 @@ class RerunSink:
     def log(self, text: str, level: str = "INFO") -> None:
         """Add a line to the log at the time of the latest frame; levels: CRITICAL, ERROR, WARN, INFO, DEBUG, TRACE."""
         if not self._closed:
-            self._set_time(self._now)
+            self._set_time()
             self._stream.log("/log", rr.TextLog(text, level=level))
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
@@ -155,9 +149,7 @@ class RerunSink:
             InputError: it is no rigid motion.
         """
         if not self._closed:
-            self._show_space()
-            self._set_time(self._now)
-            self._poses.log(self._stream, world_T_camera)
+            self._in_space().log_pose(world_T_camera)
 
     def log_lines_3d(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
         """Log lines in space, at the time of the latest frame, in the colours of their tracks.
@@ -170,9 +162,7 @@ class RerunSink:
             InputError: the two do not fit together.
         """
         if not self._closed:
-            self._show_space()
-            self._set_time(self._now)
-            log_lines_3d(self._stream, segments, ids)
+            self._in_space().log_lines(segments, ids)
 
     def close(self) -> None:
         """Finish the file and let the viewer go; safe to call twice.
@@ -188,50 +178,68 @@ class RerunSink:
                 waiting.result()
         finally:
             self._worker.shutdown(cancel_futures=True)
-            self._figures.flush()
-            self._log_lines.close()
+            self._figures.close()
+            self._warnings.close()
             self._destination.close()
 
-    def _set_time(self, frame: Frame | None) -> None:
-        """Set the time of what this thread logs: Rerun keeps one per thread."""
-        self._stream.set_time("frame", sequence=0 if frame is None else frame.index)
-        if frame is None:
-            return
-        if self._epoch:
-            self._stream.set_time("sensor_time", timestamp=np.datetime64(frame.stamp_ns, "ns"))
+    def _set_time(self) -> None:
+        if self._now is None:
+            self._stream.set_time("frame", sequence=0)
         else:
-            self._stream.set_time("sensor_time", duration=np.timedelta64(frame.stamp_ns, "ns"))
+            self._clock.set(self._now.index, self._now.stamp_ns)
 
     def _log_frame(self, result: FrameResult, descriptor: bool) -> None:
-        self._set_time(result.frame)
-        camera = result.frame.camera
-        if camera is not None and not self._has_camera:
+        """In the worker's thread, which has a time of its own."""
+        frame, trace = result.frame, result.trace
+        self._clock.set(frame.index, frame.stamp_ns)
+        if frame.camera is not None and not self._has_camera:
             self._has_camera = True
-            self._stream.log("/camera", pinhole(camera), static=True)
-        self._log_image(result.frame)
-        if self._stages:
-            log_stages(self._stream, result, self._jpeg_quality)
-        if descriptor:
-            log_descriptors(self._stream, result.trace)
-        log_tracks(self._stream, result.tracks, self._tails if self._stages else None)
-        self._figures.add(result, epoch=self._epoch)
-
-    def _log_image(self, frame: Frame) -> None:
+            self._stream.log("/camera", pinhole(frame.camera), static=True)
         if self._video is not None:
             self._video.log(self._stream, frame)
         elif self._image == "jpeg":
             self._stream.log("/camera/image", jpeg(to_uint8(frame.image), self._jpeg_quality))
         elif self._image == "raw":
             self._stream.log("/camera/image", rr.Image(frame.image, "L" if frame.image.ndim == 2 else "BGR"))
+        if self._stages:
+            log_stages(self._stream, result, self._jpeg_quality)
+        if descriptor:
+            log_descriptors(self._stream, trace)
+        log_tracks(self._stream, result.tracks, self._tails)
+        times = {f"time_ms/{stage}": ms for stage, ms in result.stage_ms.items()}
+        figures = {"counts/lines": len(trace.lines), **track_figures(result.tracks), **times}
+        self._figures.add(frame.index, frame.stamp_ns, figures)
 
-    def _show_space(self) -> None:
-        """Lay the recording out anew when it turns out to have something in space."""
-        if not self._has_space:
-            self._has_space = True
-            log_world(self._stream)
+    def _in_space(self) -> Space:
+        """Lays the recording out anew when it turns out to have something in space."""
+        if self._space is None:
+            self._space = Space(self._stream)
             self._send_layout()
+        self._set_time()
+        return self._space
 
     def _send_layout(self) -> None:
-        image = self._image != "none"
-        blueprint = layout(self._blueprint, image=image, stages=self._stages, space=self._has_space)
-        send_blueprint(self._stream, self._application_id, blueprint)
+        space, image = self._space is not None, self._image != "none"
+        send_blueprint(self._stream, layout(self._blueprint, image=image, stages=self._stages, space=space))
+
+
+class WarningLog(logging.Handler):
+    """Hands every warning of our packages' loggers to `write`, from where it is raised until it is closed."""
+
+    def __init__(self, write: Callable[[str, str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._write = write
+        for package in PACKAGES:
+            logging.getLogger(package).addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Pass a record on as its text and Rerun's name of its level."""
+        if not logging.getLogger().handlers and logging.lastResort is not None:
+            logging.lastResort.handle(record)  # Python's own way to stderr, which having a handler here would close
+        self._write(record.getMessage(), LEVELS.get(record.levelno, "WARN"))
+
+    def close(self) -> None:
+        """Take no more; safe to call twice."""
+        for package in PACKAGES:
+            logging.getLogger(package).removeHandler(self)
+        super().close()

@@ -7,10 +7,6 @@ the image and its tracks instead, and needs no driver; `--video film.mp4` makes 
 from __future__ import annotations
 
 import argparse
-import os
-import signal
-import socket
-import subprocess
 import sys
 import tempfile
 import threading
@@ -21,9 +17,11 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient, ViewerState
 
-from airline.command import EXIT_USER_ERROR, Parser
-from airline.errors import AirLineError, InputError
-from viz.viewer import environment
+from airline.command import Parser, exit_code
+from airline.errors import InputError
+from viz.overlay import draw_frame, write_film, write_picture
+from viz.recording import Recording
+from viz.viewer import Viewer, free_port, start, stop
 
 POLL_S = 0.2
 
@@ -36,14 +34,7 @@ def save_picture(
     size: tuple[int, int] = (1920, 1080),
     timeout_s: float = 60.0,
 ) -> list[str]:
-    """Open a recording in a headless viewer and save what it shows.
-
-    Args:
-        recording: .rrd file.
-        picture: .png file to write.
-        frame: where to put the cursor on the timeline `frame`; None is its last frame.
-        size: width and height of the viewer, px.
-        timeout_s: the viewer is stopped after so many seconds.
+    """Open a recording in a headless viewer and save what it shows at a frame; None is the last.
 
     Returns:
         What the views of the viewer complain about, one sentence each; empty when all is well.
@@ -55,30 +46,24 @@ def save_picture(
         raise InputError(f"there is no recording {recording}: give an .rrd file")
     if not picture.parent.is_dir():
         raise InputError(f"cannot write {picture}: create its folder first")
-    with _headless_viewer(recording, size, timeout_s) as client:
-        state = _wait_until_loaded(client, recording)
-        _go_to(client, state, frame)
+    with headless_viewer(recording, size, timeout_s) as client:
+        state = wait_until_loaded(client, recording)
         client.run_command("ui.toggle_top_panel")  # menus and driver warnings are no part of the picture
-        _save_settled(client, picture)
+        show_frame(client, state, frame, picture)
         views = client.get_state().views
     return [f"{view.name}: {report.summary}" for view in views for report in view.reports]
 
 
 @contextmanager
-def _headless_viewer(recording: Path, size: tuple[int, int], timeout_s: float) -> Iterator[ViewerClient]:
-    """A viewer that shows the recording; it is gone when the block ends, or, at the latest, after the timeout."""
-    port = _free_port()
-    command = [str(Path(sys.executable).parent / "rerun"), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
-    command += ["--window-size", f"{size[0]}x{size[1]}", str(recording)]
+def headless_viewer(recording: Path, size: tuple[int, int], timeout_s: float) -> Iterator[ViewerClient]:
+    """A viewer that opens the recording; it is gone when the block ends, or, at the latest, after the timeout."""
+    port = free_port()
+    flags = ("--headless", "--window-size", f"{size[0]}x{size[1]}", str(recording))
     with tempfile.TemporaryFile() as output:
-        viewer = subprocess.Popen(
-            command,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env={**environment(), "RUST_LOG": "error"},
-            start_new_session=True,  # `rerun` is a launcher: its child, the viewer itself, has to end with it
-        )
-        watchdog = threading.Timer(timeout_s, _stop, [viewer])
+        viewer = start(port, *flags, output=output.fileno(), RUST_LOG="error")
+        if viewer is None:
+            raise InputError("Rerun's viewer is not installed beside this Python: take a plain picture with --plain")
+        watchdog = threading.Timer(timeout_s, stop, [viewer])
         watchdog.start()
         try:
             yield _connect(viewer, port)
@@ -88,22 +73,10 @@ def _headless_viewer(recording: Path, size: tuple[int, int], timeout_s: float) -
             raise InputError(_why_it_ended(output.read().decode(errors="replace"), timeout_s)) from reason
         finally:
             watchdog.cancel()
-            _stop(viewer)
-            viewer.wait()
+            stop(viewer)
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def _stop(viewer: subprocess.Popen[bytes]) -> None:
-    if viewer.poll() is None:
-        os.killpg(viewer.pid, signal.SIGKILL)
-
-
-def _connect(viewer: subprocess.Popen[bytes], port: int) -> ViewerClient:
+def _connect(viewer: Viewer, port: int) -> ViewerClient:
     while True:
         try:
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
@@ -126,7 +99,8 @@ def _why_it_ended(output: str, timeout_s: float) -> str:
     return f"the viewer ended or gave no picture within {timeout_s:g} s: try a longer timeout ({last.strip()})"
 
 
-def _wait_until_loaded(client: ViewerClient, recording: Path) -> ViewerState:
+def wait_until_loaded(client: ViewerClient, recording: Path) -> ViewerState:
+    """What the viewer holds, when it holds all of the recording; InputError where it cannot read it."""
     while True:
         state = client.get_state()
         if state.recordings and not state.loading and all(r.timelines for r in state.recordings):
@@ -136,7 +110,8 @@ def _wait_until_loaded(client: ViewerClient, recording: Path) -> ViewerState:
         time.sleep(POLL_S)
 
 
-def _go_to(client: ViewerClient, state: ViewerState, frame: int | None) -> None:
+def show_frame(client: ViewerClient, state: ViewerState, frame: int | None, picture: Path) -> None:
+    """Go to a frame, None is the last, and save what the viewer shows when it has settled."""
     timeline = next((t for r in state.recordings for t in r.timelines if t.name == "frame"), None)
     if timeline is None or timeline.start is None or timeline.end is None:
         raise InputError("the recording has no timeline 'frame': give one that was written by this project")
@@ -145,12 +120,8 @@ def _go_to(client: ViewerClient, state: ViewerState, frame: int | None) -> None:
     if not timeline.start <= frame <= timeline.end:
         raise InputError(f"there is no frame {frame}: choose one from {timeline.start} to {timeline.end}")
     client.set_time("frame", sequence=frame, play_state="paused")
-
-
-def _save_settled(client: ViewerClient, picture: Path) -> None:
-    """Images are decoded and views fade in after the first paint, so repeat until two pictures are the same."""
     before = None
-    while True:
+    while True:  # images are decoded and views fade in after the first paint, so until two pictures are the same
         client.save_screenshot(str(picture.absolute()))
         now = picture.read_bytes()
         if now == before:
@@ -159,50 +130,22 @@ def _save_settled(client: ViewerClient, picture: Path) -> None:
 
 
 def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) -> None:
-    """Draw the image and the tracks of a frame with OpenCV, in the colours of the recording.
-
-    Args:
-        recording: .rrd file.
-        picture: image file to write.
-        frame: None is the last one.
+    """Draw image and tracks of a frame, None is the last, with OpenCV in the colours of the recording.
 
     Raises:
         InputError: no such recording, no such frame, or an unwritable picture.
     """
-    import cv2
-
-    from viz.overlay import draw_frame
-    from viz.recording import Recording
-
     opened = Recording(recording)
     chosen = opened.at(opened.indices[-1] if frame is None else frame)
-    overlay = draw_frame(next(opened.frames(chosen, chosen)))
-    try:
-        written = cv2.imwrite(str(picture), overlay)
-    except cv2.error:  # an ending that OpenCV does not know
-        written = False
-    if not written:
-        raise InputError(f"cannot write {picture}: give a .png or .jpg file in a folder you may write to")
+    write_picture(picture, draw_frame(next(opened.frames(chosen, chosen))))
 
 
 def save_film(recording: Path, film: Path, *, start: int | None = None, end: int | None = None) -> int:
-    """Make a film of the image and the tracks, at the recording's frame rate.
-
-    Args:
-        recording: .rrd file.
-        film: .mp4 file to write.
-        start, end: first and last frame; None is the recording's.
-
-    Returns:
-        How many frames it has.
+    """Make an .mp4 of image and tracks from frame `start` to `end`, at the recording's rate; returns its length.
 
     Raises:
         InputError: no such recording, no frame between these, or an unwritable film.
     """
-    from viz.film import write_film
-    from viz.overlay import draw_frame
-    from viz.recording import Recording
-
     if film.suffix.lower() != ".mp4":
         raise InputError(f"cannot write {film}: films are .mp4 files")
     opened = Recording(recording)
@@ -212,17 +155,17 @@ def save_film(recording: Path, film: Path, *, start: int | None = None, end: int
     return write_film(film, map(draw_frame, opened.frames(start, end)), opened.fps)
 
 
-def _take(options: argparse.Namespace) -> list[str]:
-    """Do what the flags ask for; returns what the viewer complains about."""
+def run(options: argparse.Namespace) -> None:
+    """Do what the flags ask for, and print what the viewer complains about."""
     if options.video is not None:
         save_film(options.recording, options.video, start=options.start, end=options.end)
-    if options.picture is None:
-        return []
-    if options.plain:
+    if options.picture is not None and options.plain:
         save_overlay(options.recording, options.picture, frame=options.frame)
-        return []
-    size = (options.size[0], options.size[1])
-    return save_picture(options.recording, options.picture, frame=options.frame, size=size, timeout_s=options.timeout)
+    elif options.picture is not None:
+        size = (options.size[0], options.size[1])
+        picture = {"frame": options.frame, "size": size, "timeout_s": options.timeout}
+        for complaint in save_picture(options.recording, options.picture, **picture):
+            print(f"the viewer reports: {complaint}", file=sys.stderr)
 
 
 def main() -> int:
@@ -240,14 +183,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.picture is None and options.video is None:
         parser.error("name the picture to write, or a film with --video")
-    try:
-        complaints = _take(options)
-    except AirLineError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
-    for complaint in complaints:
-        print(f"the viewer reports: {complaint}", file=sys.stderr)
-    return 0
+    return exit_code(run, options)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code
 from airline.config import PRESETS
@@ -17,48 +16,36 @@ from airline.errors import InputError
 from airline.image import to_gray, to_uint8
 from airline.trace import Trace
 from frontend.colours import track_colours
-from viz.overlay import SHIFT
-from viz.pictures import edge_image, orientation_image
+from viz.overlay import Picture, draw_lines, write_picture
+from viz.pictures import edge_image, orientation_image, region_image
 
 WIDTH = 480  # px of each panel
 STRIP = 22  # px of its title
-QUALITY = 85  # of a JPEG
-
-Picture = NDArray[np.uint8]
 
 
 def stage_picture(gray: Picture, trace: Trace) -> Picture:
-    """Image, edges, orientations, regions, segments and scores beside each other.
-
-    Args:
-        gray: (H, W) uint8, the image.
-        trace: what the detector made of it.
-
-    Returns:
-        (h, 3 * WIDTH, 3) uint8 BGR.
-    """
+    """Grey image, edges, orientations, regions, segments and scores beside each other, BGR."""
     lines = trace.lines
-    colours = track_colours(np.arange(len(lines)))[:, ::-1]
-    regions = np.zeros((*gray.shape, 3), np.uint8)
-    supporting = trace.labels >= 0
-    regions[trace.pixels[supporting, 1], trace.pixels[supporting, 0]] = colours[trace.labels[supporting]]
+    colours = track_colours(np.arange(len(lines)))
+    regions = np.concatenate([np.zeros((1, 3), np.uint8), colours])
     by_score = cv2.applyColorMap(np.rint(255 * lines.scores).astype(np.uint8), cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
     panels = {
         "image": gray,
         "edges: probability": edge_image(trace),
-        "orientation: hue is the angle": np.ascontiguousarray(orientation_image(trace)[:, :, ::-1]),
-        f"grow: pixels behind {len(lines)} lines": regions,
-        "fit, refine: segments": _with_lines(gray, lines.segments, colours),
-        "scores: blue 0, yellow 1": _with_lines(gray, lines.segments, by_score),
+        "orientation: hue is the angle": orientation_image(trace)[:, :, ::-1],
+        f"grow: pixels behind {len(lines)} lines": regions[
+            region_image(trace, np.arange(1, len(regions), dtype=np.uint16))
+        ][:, :, ::-1],
+        "fit, refine: segments": _with_lines(gray, trace, colours),
+        "scores: blue 0, yellow 1": _with_lines(gray, trace, by_score[:, ::-1]),
     }
-    titled = [_panel(title, picture) for title, picture in panels.items()]
+    titled = [_panel(title, np.ascontiguousarray(picture)) for title, picture in panels.items()]
     return np.vstack([np.hstack(titled[:3]), np.hstack(titled[3:])])
 
 
-def _with_lines(gray: Picture, segments: NDArray[np.float32], colours: Picture) -> Picture:
+def _with_lines(gray: Picture, trace: Trace, rgb: Picture) -> Picture:
     canvas = np.repeat((gray // 2)[:, :, None], 3, axis=2)
-    for points, colour in zip(np.rint(segments * (1 << SHIFT)).astype(np.int32), colours.tolist(), strict=True):
-        cv2.polylines(canvas, [points], False, colour, 2, cv2.LINE_AA, SHIFT)
+    draw_lines(canvas, trace.lines.segments, rgb, 2)
     return canvas
 
 
@@ -74,11 +61,7 @@ def _panel(title: str, picture: Picture) -> Picture:
 
 
 def read_image(path: Path | None) -> Picture:
-    """A grey image from a file, or a frame of the built-in clip.
-
-    Raises:
-        InputError: no image can be read from there.
-    """
+    """A grey image from a file, or a frame of the built-in clip; InputError where it cannot be read."""
     if path is None:
         from airline.scenes import RenderedClip
 
@@ -93,13 +76,7 @@ def read_image(path: Path | None) -> Picture:
 def run(options: argparse.Namespace) -> None:
     """Detect, draw, write; raises AirLineError."""
     gray = read_image(options.image)
-    picture = stage_picture(gray, AirLine(options.preset).trace(gray))
-    try:
-        written = cv2.imwrite(str(options.out), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    except cv2.error:  # an ending that OpenCV does not know
-        written = False
-    if not written:
-        raise InputError(f"cannot write {options.out}: give a .png or .jpg file in a folder you may write to")
+    write_picture(options.out, stage_picture(gray, AirLine(options.preset).trace(gray)))
 
 
 def main(arguments: list[str] | None = None) -> int:

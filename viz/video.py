@@ -17,10 +17,7 @@ OTHERWISE = "use --log-image jpeg"
 
 
 class VideoReferences:
-    """Logs which picture of a video file a frame is.
-
-    Args:
-        path: the file that the frames are read from; they must come as they are in it.
+    """Logs which picture of a video file a frame is; the frames must come as they are in the file.
 
     Raises:
         ConfigError: Rerun cannot play the file.
@@ -37,25 +34,16 @@ class VideoReferences:
         self._asset, self._stamps = asset, np.sort(stamps)
 
     def start(self, stream: rr.RecordingStream) -> None:
-        """Log the file itself, as static data."""
+        """Log the file itself, once."""
         stream.log("/camera/image", self._asset, static=True)
 
     def log(self, stream: rr.RecordingStream, frame: Frame) -> None:
-        """Refer to the picture whose presentation time is nearest to the frame's.
-
-        Raises:
-            ConfigError: the frame has another size than the video.
-        """
+        """Refer to the picture nearest in time to the frame; ConfigError where the frame has another size."""
         if (frame.image.shape[1], frame.image.shape[0]) != self._size:
             raise ConfigError(f"{self._path} cannot stand for frames of another size: {OTHERWISE}")
-        stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=self.nearest(frame.stamp_ns)))
-
-    def nearest(self, stamp_ns: int) -> int:
-        """Presentation time, ns, of the picture nearest to a time since the first picture."""
-        wanted = self._stamps[0] + stamp_ns
-        k = int(np.searchsorted(self._stamps, wanted))
-        near = self._stamps[max(k - 1, 0) : k + 1]
-        return int(near[np.argmin(np.abs(near - wanted))])
+        wanted = self._stamps[0] + frame.stamp_ns  # a frame's time counts from the first picture
+        nearest = self._stamps[np.argmin(np.abs(self._stamps - wanted))]
+        stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=int(nearest)))
 
 
 def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:

@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 PORT = 9876
@@ -17,7 +18,39 @@ WEB_PORT = 9090
 START_S = 15.0  # a cold start from a slow disk takes several seconds
 SETTLE_S = 1.0  # a viewer without a display answers for a moment before it dies
 
-_windows: list[subprocess.Popen[bytes]] = []  # viewers that outlive the run; Python warns of one that nobody holds
+Viewer = subprocess.Popen[bytes]
+
+_windows: list[Viewer] = []  # viewers that outlive the run; Python warns of one that nobody holds
+
+
+def start(port: int, *arguments: str, output: int | IO[bytes] = subprocess.DEVNULL, **variables: str) -> Viewer | None:
+    """Rerun's program, reachable from this machine alone; None where it is not installed beside this Python.
+
+    It gets a session of its own: Ctrl-C ends the run and leaves a window open.
+    """
+    program = Path(sys.executable).with_name("rerun")
+    if not program.exists():
+        return None
+    return subprocess.Popen(
+        [str(program), "--bind", "127.0.0.1", "--port", str(port), *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        env={**environment(), **variables},
+        start_new_session=True,
+    )
+
+
+def stop(viewer: Viewer) -> None:
+    """End a viewer of `start`."""
+    if viewer.poll() is None:
+        os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
+    viewer.wait()
+
+
+def environment() -> dict[str, str]:
+    """The environment to start the viewer in: it reports its use to its makers unless it believes to be in CI."""
+    return {**os.environ, "CI": "1"}
 
 
 def open_viewer(port: int = PORT) -> str | None:
@@ -29,25 +62,15 @@ def open_viewer(port: int = PORT) -> str | None:
     address = f"127.0.0.1:{port}"
     if _answers(port):
         return address
-    executable = Path(sys.executable).with_name("rerun")
-    if not executable.exists():
+    viewer = start(port, "--expect-data-soon")
+    if viewer is None:
         return None
-    command = [str(executable), "--bind", "127.0.0.1", "--port", str(port), "--expect-data-soon"]
-    quiet = subprocess.DEVNULL
-    # its own session: Ctrl-C ends the run and leaves the window open
-    viewer = subprocess.Popen(
-        command, stdin=quiet, stdout=quiet, stderr=quiet, env=environment(), start_new_session=True
-    )
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline and viewer.poll() is None:
-        if _answers(port):
-            time.sleep(SETTLE_S)
-            if viewer.poll() is not None:
-                return None
+    if _comes_up(viewer, port):
+        time.sleep(SETTLE_S)
+        if viewer.poll() is None:
             _windows.append(viewer)
             return address
-        time.sleep(0.05)
-    _kill(viewer)
+    stop(viewer)
     return None
 
 
@@ -61,47 +84,31 @@ class WebViewer:
         stream: where recordings go, and what other viewers can connect to.
     """
 
-    process: subprocess.Popen[bytes]
+    process: Viewer
     url: str
     stream: str
 
     def close(self) -> None:
         """Stop it."""
-        _kill(self.process)
+        stop(self.process)
 
 
 def serve() -> WebViewer | None:
     """Start a viewer for browsers, on the usual ports if they are free; None where it does not start."""
-    executable = Path(sys.executable).with_name("rerun")
-    if not executable.exists():
-        return None
-    port, web_port = _free_port(PORT), _free_port(WEB_PORT)
+    port, web_port = free_port(PORT), free_port(WEB_PORT)
     # Rerun's own `RecordingStream.serve_grpc` would listen to the whole network
-    command = [str(executable), "--serve-web", "--bind", "127.0.0.1", "--port", str(port)]
-    command += ["--web-viewer-port", str(web_port)]
-    quiet = subprocess.DEVNULL
-    server = subprocess.Popen(
-        command, stdin=quiet, stdout=quiet, stderr=quiet, env=environment(), start_new_session=True
-    )
+    server = start(port, "--serve-web", "--web-viewer-port", str(web_port))
+    if server is None:
+        return None
+    if not _comes_up(server, port, web_port):
+        stop(server)
+        return None
     stream = f"rerun+http://127.0.0.1:{port}/proxy"
-    viewer = WebViewer(server, f"http://127.0.0.1:{web_port}/?url={quote(stream, safe='')}", stream)
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline and server.poll() is None:
-        if _answers(port) and _answers(web_port):
-            return viewer
-        time.sleep(0.05)
-    viewer.close()
-    return None
+    return WebViewer(server, f"http://127.0.0.1:{web_port}/?url={quote(stream, safe='')}", stream)
 
 
-def _kill(viewer: subprocess.Popen[bytes]) -> None:
-    """End a viewer that was started in a session of its own."""
-    if viewer.poll() is None:
-        os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
-    viewer.wait()
-
-
-def _free_port(wanted: int) -> int:
+def free_port(wanted: int = 0) -> int:
+    """A port of this machine that no other program has: the wanted one if possible."""
     for port in (wanted, 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -113,9 +120,14 @@ def _free_port(wanted: int) -> int:
     raise OSError("no port of this machine is free")
 
 
-def environment() -> dict[str, str]:
-    """The environment to start the viewer in: it reports its use to its makers unless it believes to be in CI."""
-    return {**os.environ, "CI": "1"}
+def _comes_up(viewer: Viewer, *ports: int) -> bool:
+    """Whether a viewer answers at all these ports before it ends or takes too long."""
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline and viewer.poll() is None:
+        if all(_answers(port) for port in ports):
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def _answers(port: int) -> bool:

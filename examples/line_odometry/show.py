@@ -16,37 +16,8 @@ TRUTH, OURS, LINES = (120, 120, 120), (80, 200, 120), (90, 170, 255)
 FRUSTUM = 0.25  # of the path's extent
 
 
-def show(save: Path, seen: Seen, path: Aligned, segments: Array) -> None:
-    """Write the path and the lines of its map, laid over the true ones.
-
-    Args:
-        save: file to write.
-        seen: the clip.
-        path: the estimated one.
-        segments: (N, 2, 3) end points of the map's lines in the estimate's own world.
-    """
-    recording = _begin(save, seen)
-    laid = path.scale * segments @ path.turn.T + path.shift
-    recording.log("world/lines", _strips(laid, LINES), static=True)
-    recording.log("world/path", _path(path.poses, OURS, 3.0), static=True)
-    reach = FRUSTUM * float(np.ptp(seen.poses[:, :, 3], axis=0).max())
-    for index, pose in enumerate(path.poses):
-        recording.set_time("frame", sequence=index)
-        recording.log("world/camera", rr.Transform3D(translation=pose[:, 3], mat3x3=pose[:, :3]))
-        recording.log("world/camera", rr.Pinhole(focal_length=1.0, width=1.1, height=0.8, image_plane_distance=reach))
-    recording.flush()
-    recording.disconnect()
-
-
-def show_lines(save: Path, seen: Seen, segments: Array) -> None:
-    """Write lines (N, 2, 3) beside the true ones."""
-    recording = _begin(save, seen)
-    recording.log("world/lines", _strips(segments, LINES), static=True)
-    recording.flush()
-    recording.disconnect()
-
-
-def _begin(save: Path, seen: Seen) -> rr.RecordingStream:
+def show(save: Path, seen: Seen, segments: Array, path: Aligned | None = None) -> None:
+    """Write lines (N, 2, 3) beside the true ones, and the path that they were found with, where it is estimated."""
     recording = rr.RecordingStream("airline-odometry")
     view = rrb.Spatial3DView(
         origin="world", name="lines and path: true grey, estimated coloured", background=(20, 22, 26)
@@ -56,7 +27,18 @@ def _begin(save: Path, seen: Seen) -> rr.RecordingStream:
     recording.log("world/true_path", _path(seen.poses, TRUTH, 1.0), static=True)
     if seen.lines is not None:
         recording.log("world/true_lines", _strips(seen.lines.visible, TRUTH), static=True)
-    return recording
+    if path is not None:
+        segments = path.scale * segments @ path.turn.T + path.shift
+        recording.log("world/path", _path(path.poses, OURS, 3.0), static=True)
+        reach = FRUSTUM * float(np.ptp(seen.poses[:, :, 3], axis=0).max())
+        camera = rr.Pinhole(focal_length=1.0, width=1.1, height=0.8, image_plane_distance=reach)
+        recording.log("world/camera", camera, static=True)
+        for index, pose in enumerate(path.poses):
+            recording.set_time("frame", sequence=index)
+            recording.log("world/camera", rr.Transform3D(translation=pose[:, 3], mat3x3=pose[:, :3]))
+    recording.log("world/lines", _strips(segments, LINES), static=True)
+    recording.flush()
+    recording.disconnect()
 
 
 def _path(poses: Array, colour: tuple[int, int, int], width: float) -> rr.LineStrips3D:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,11 @@ from numpy.typing import NDArray
 
 from line_odometry.adjust import Equations, costs, fit_lines
 from line_odometry.geometry import TINY, Array
-from line_odometry.views import Observations
+from line_odometry.views import Ids, Observations, View, gather
 
 LEAST_NOISE = 0.15  # px: agreement closer than this is luck
 PART_VIEWS = 3  # views that a part of a line must have been seen in
+MAP_VIEWS, MAP_RMS, MAP_SPREAD = 5, 1.0, 0.004  # of a line in a map: at least, px, and 4 mm of its worse end at a metre
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,14 @@ class Triangulated:
     def segments(self) -> Array:
         """(N, 2, 3) end points in space."""
         return self.lines[:, :1] + self.reach[:, :, None] * self.lines[:, 1:]
+
+
+def map_lines(views: Sequence[View], poses: Array, focal: float) -> tuple[Ids, Array]:
+    """Tracks (N,) and end points in space (N, 2, 3) of the lines that views agree on from poses (K, 3, 4)."""
+    seen = gather(views, focal, MAP_VIEWS)
+    found = triangulate(seen, poses)
+    good = found.ahead & (found.rms < MAP_RMS) & (found.spread < MAP_SPREAD)
+    return seen.ids[good], found.segments[good]
 
 
 def triangulate(seen: Observations, poses: Array, start: Array | None = None) -> Triangulated:

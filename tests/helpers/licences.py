@@ -14,8 +14,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
-EXTRAS = ("fleet", "kornia", "odometry", "plots")  # what users install; not the tools of development
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = [extra for extra in PROJECT["optional-dependencies"] if extra != "dev"]  # what users install
 PERMISSIVE = re.compile(
     r"apache|\bmit\b|bsd|\bisc\b|zlib|\bpsf\b|python-2|python software|unlicense|0bsd|cc0|hpnd|any-osi", re.IGNORECASE
 )
@@ -71,8 +71,7 @@ def is_fine(key: str, licence: str) -> bool:
 
 def rows() -> Iterator[tuple[str, str, str, str]]:
     """Name, version, licence and extra of every distribution, those of the plain installation first."""
-    project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
-    wanted = {"": project["dependencies"], **{extra: project["optional-dependencies"][extra] for extra in EXTRAS}}
+    wanted = {"": PROJECT["dependencies"], **{extra: PROJECT["optional-dependencies"][extra] for extra in EXTRAS}}
     seen: set[str] = set()
     for extra, requirements in wanted.items():
         found = needed(requirements)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 
@@ -15,6 +13,7 @@ from tests.helpers.camera_logs import EPOCH_NS, Channel, Logged, write_log
 from tests.helpers.camera_messages import cdr
 from tests.helpers.command import command
 from tests.helpers.data_sets import write_annotated, write_labelled, write_posed
+from viz.overlay import write_film
 
 SIZE = (160, 120)
 FRAMES = 24
@@ -34,7 +33,7 @@ def prepare(folder: Path) -> None:
     """Fill a folder with everything that the pages name."""
     images = [view.image for view in RenderedClip(motion="handheld", seed=12, frames=FRAMES, size=SIZE)]
     _write_folders(folder, images)
-    _write_video(folder / "video.mp4", images)
+    write_film(folder / "video.mp4", images, 1e9 / STEP_NS)
     log = _write_log(folder / "log.mcap", images)
     (folder / "cut.mcap").write_bytes(log.read_bytes()[:-3000])
     (folder / "cam.yaml").write_text(CAMERA)
@@ -64,18 +63,6 @@ def _write_folders(folder: Path, images: Images) -> None:
     cv2.imwrite(str(folder / "photo.jpg"), images[0])
     for k in (0, 12):  # larger, as photographs that are moved must be
         cv2.imwrite(str(folder / "photos" / f"{k}.jpg"), cv2.resize(images[k], None, fx=2, fy=2))
-
-
-def _write_video(path: Path, images: Images) -> None:
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=Fraction(10**9, STEP_NS))
-        stream.width, stream.height = SIZE
-        stream.pix_fmt = "yuv420p"
-        for image in images:
-            for packet in stream.encode(av.VideoFrame.from_ndarray(image, "bgr24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
 
 
 def _write_log(path: Path, images: Images) -> Path:

@@ -54,13 +54,8 @@ def names(page: str) -> dict[str, Any]:
     from frontend import CameraModel
 
     images = [cv2.imread(f"images/img{k}.png") for k in range(4)]
-    given = {
-        "backend": Backend(),
-        "image": images[0],
-        "images": images,
-        "camera": CameraModel(160, 120, 115.0, 115.0, 79.5, 59.5),
-        "__name__": "__main__",
-    }
+    camera = CameraModel(160, 120, 115.0, 115.0, 79.5, 59.5)
+    given = {"backend": Backend(), "image": images[0], "images": images, "camera": camera, "__name__": "__main__"}
     if "my_torch_net" in page:
         import torch
 
@@ -126,7 +121,7 @@ def run_page(page: str) -> list[str]:
         PageError: a marker without sense, or a block in a language that the checks do not know.
     """
     failures: list[str] = []
-    given: dict[str, Any] = {}
+    given = names(page) if "```python" in page else {}
     for port in ("5555", "8765"):
         page = page.replace(f":{port}", f":{free_port()}")
     page = page.replace("ipc:///tmp/lines", f"ipc://{Path('lines').absolute()}")
@@ -137,25 +132,16 @@ def run_page(page: str) -> list[str]:
             raise PageError(f"line {block.number}: write sh or python, not '{block.language}'")
         for number, text in block.commands():
             started = time.monotonic()
-            if block.language == "python":
-                given = given or names(page)
-                failure = run_python(text, given)
-            else:
-                failure = run_command(text)
+            failure = run_python(text, given) if block.language == "python" else run_command(text)
             print(f"{time.monotonic() - started:6.1f} s  {text.strip().splitlines()[0]}")
             if failure is not None:
                 failures.append(f"line {number}: {text.strip()}\n{failure}")
     return failures
 
 
-def main() -> int:
-    """Print what went wrong; returns how many commands failed."""
+if __name__ == "__main__":
     os.environ.pop("DISPLAY", None)
     os.environ.pop("WAYLAND_DISPLAY", None)
-    failures = run_page(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    print("\n".join(failures))
-    return min(len(failures), 100)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    found = run_page(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    print("\n".join(found))
+    sys.exit(min(len(found), 100))

@@ -12,18 +12,16 @@ of its lines that contain the text between the last backticks:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN = frozenset({"", "json"})  # languages of blocks that are to be read, not run
 
-_FENCE = re.compile(r"^```(\S*)$")
+_BLOCK = re.compile(r"((?:^<!-- ci:[^\n]*\n)*)^```(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _MARKER = re.compile(
-    r"<!-- ci: (?:(?P<skip>skip)(?: `(?P<skipped>[^`]+)`)?|append `(?P<append>[^`]+)`(?: to `(?P<to>[^`]+)`)?)"
-    r" because (?P<reason>\S.+) -->"
+    r"<!-- ci: (?:skip(?: `(?P<skipped>[^`]+)`)?|append `(?P<append>[^`]+)`(?: to `(?P<to>[^`]+)`)?) because \S.+ -->"
 )
 _COMMENT = re.compile(r"\s+#\s.*$")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -34,22 +32,20 @@ class PageError(ValueError):
 
 
 @dataclass(frozen=True)
-class Marker:
-    """What the checks do otherwise: skip, or append arguments, where a line contains `text`."""
-
-    append: str | None
-    text: str
-    number: int
-
-
-@dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, the number of its first line in the page, its text and its markers."""
+    """A fenced block.
+
+    Attributes:
+        language: behind the fence.
+        number: of its first line in the page.
+        text: what is in it.
+        markers: the lines right above it.
+    """
 
     language: str
     number: int
     text: str
-    markers: tuple[Marker, ...] = ()
+    markers: tuple[re.Match[str], ...] = ()
 
     def commands(self) -> list[tuple[int, str]]:
         """Numbers and texts of the lines to run, as the markers change them; of Python, all of it or nothing.
@@ -57,22 +53,17 @@ class Block:
         Raises:
             PageError: a marker that no line has to do with.
         """
-        lines = [(self.number, self.text)] if self.language == "python" else list(self._lines())
+        lines = [(self.number, self.text)]
+        if self.language != "python":
+            rows = enumerate(self.text.splitlines(), self.number)
+            lines = [(number, text) for number, row in rows if (text := _COMMENT.sub("", row).strip())]
         for marker in self.markers:
-            concerned = [line for line in lines if marker.text in line[1]]
-            if not concerned:
-                raise PageError(f"line {marker.number}: no command contains '{marker.text}'")
-            if marker.append is None:
-                lines = [line for line in lines if line not in concerned]
-            else:
-                lines = [(n, f"{text} {marker.append}" if (n, text) in concerned else text) for n, text in lines]
+            wanted = marker["skipped"] or marker["to"] or ""
+            if not any(wanted in text for _, text in lines):
+                raise PageError(f"above line {self.number}: no command contains '{wanted}'")
+            added = marker["append"]
+            lines = [(n, f"{t} {added}" if wanted in t else t) for n, t in lines if added or wanted not in t]
         return lines
-
-    def _lines(self) -> Iterator[tuple[int, str]]:
-        for number, line in enumerate(self.text.splitlines(), self.number):
-            command = _COMMENT.sub("", line).strip()
-            if command:
-                yield number, command
 
 
 def blocks_of(page: str) -> list[Block]:
@@ -82,43 +73,25 @@ def blocks_of(page: str) -> list[Block]:
         PageError: a marker that cannot be understood or is above no block, or a fence that does not end.
     """
     blocks: list[Block] = []
-    markers: list[Marker] = []
-    inside: Block | None = None
-    for number, line in enumerate(page.splitlines(), 1):
-        fence = _FENCE.match(line)
-        if inside is not None:
-            if line == "```":
-                blocks.append(inside)
-                inside = None
-            else:
-                inside = replace(inside, text=f"{inside.text}{line}\n")
-        elif fence:
-            inside = Block(fence[1], number + 1, "", tuple(markers))
-            markers = []
-        elif line.startswith("<!-- ci:"):
-            markers.append(_marker(line, number))
-        elif markers:
-            raise PageError(f"line {markers[0].number}: a marker stands right above its block")
-    if inside is not None or markers:
-        raise PageError("the last block does not end, or a marker has none")
+    for found in _BLOCK.finditer(page):
+        markers = [_MARKER.fullmatch(line) for line in found[1].splitlines()]
+        number = page.count("\n", 0, found.start(3)) + 1
+        if None in markers:
+            raise PageError(f"above line {number}: a marker of no known form, or without a reason")
+        blocks.append(Block(found[2], number, found[3], tuple(marker for marker in markers if marker)))
+    if len(re.findall("^<!-- ci:", page, re.MULTILINE)) != sum(len(block.markers) for block in blocks):
+        raise PageError("a marker stands right above its block, and one does not")
+    if len(re.findall("^```", page, re.MULTILINE)) != 2 * len(blocks):
+        raise PageError("a block does not end")
     return blocks
-
-
-def _marker(line: str, number: int) -> Marker:
-    found = _MARKER.fullmatch(line)
-    if not found:
-        raise PageError(f"line {number}: no marker of the known forms, with a reason: {line}")
-    return Marker(found["append"], found["skipped"] or found["to"] or "", number)
 
 
 def links_of(page: str) -> list[str]:
     """Targets of all links and pictures outside of code."""
-    without = re.sub(r"^```.*?^```$", "", page, flags=re.DOTALL | re.MULTILINE)
-    return _LINK.findall(re.sub(r"`[^`\n]*`", "", without))
+    return _LINK.findall(re.sub(r"`[^`\n]*`", "", _BLOCK.sub("", page)))
 
 
 def anchors_of(page: str) -> set[str]:
     """What the headings of a page are called in links to them, as GitHub makes it."""
-    without = re.sub(r"^```.*?^```$", "", page, flags=re.DOTALL | re.MULTILINE)
-    headings = re.findall(r"^#+ (.+)$", without, re.MULTILINE)
+    headings = re.findall(r"^#+ (.+)$", _BLOCK.sub("", page), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}

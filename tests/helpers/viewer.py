@@ -1,4 +1,4 @@
-"""Rerun's viewer: whether this machine can draw it, which ones run, one that saves, and pictures of one."""
+"""Recordings to test with, and Rerun's viewer: whether this machine can draw it, which ones run, one that saves."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from frontend.protocols import FrameResult
+from tests.helpers.command import ROOT, recorded
+from tests.helpers.moving_rectangle import frame_results
 from tests.helpers.ports import listening
-from viz.viewer import environment
+from viz.rerun_sink import RerunSink
+from viz.viewer import start, stop
 
-ROOT = Path(__file__).parents[2]
+FRAMES = 10
 RERUN = Path(sys.executable).parent / "rerun"
 
 
@@ -31,6 +36,30 @@ needs_viewer = pytest.mark.skipif(
     not have_vulkan() or not RERUN.exists(),
     reason="needs the Rerun viewer and a Vulkan driver (Debian: mesa-vulkan-drivers libvulkan1)",
 )
+
+
+def record(path: Path, results: Iterable[FrameResult] | None = None, **options: Any) -> dict[str, dict[str, list[Any]]]:
+    """What the sink makes of results, or of `FRAMES` of the moving rectangle, read back."""
+    with closing(RerunSink(save=path, **options)) as sink:
+        for result in results or frame_results(FRAMES):
+            sink.write(result)
+        sink.close()
+    return recorded(path)
+
+
+def names_of_views(path: Path) -> set[str]:
+    """The titles in a recording's layouts."""
+    from rerun.chunk import RrdReader
+
+    column = "ViewBlueprint:display_name"
+    return {
+        name
+        for blueprint in RrdReader(path).blueprints()
+        for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
+        if column in (batch := chunk.to_record_batch()).schema.names
+        for row in batch.column(column).to_pylist()
+        for name in row
+    }
 
 
 def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -59,22 +88,27 @@ def viewers(port: int) -> list[int]:
 
 
 @contextmanager
-def saving_viewer(port: int, path: Path) -> Iterator[None]:
-    """The viewer, which writes all that it receives within the block into a file instead of showing it."""
-    quiet = subprocess.DEVNULL
-    command = [RERUN, "--bind", "127.0.0.1", "--port", str(port), "--save", str(path)]
-    viewer = subprocess.Popen(
-        command, env=environment(), stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
-    )
+def serving(port: int, *arguments: object) -> Iterator[subprocess.Popen[bytes]]:
+    """Rerun's program, which listens at a port until the end of the block."""
+    viewer = start(port, *map(str, arguments))
+    assert viewer is not None
     try:
         deadline = time.monotonic() + 30
         while not listening(port):
             assert time.monotonic() < deadline
             time.sleep(0.05)
+        yield viewer
+    finally:
+        if viewer.poll() is None:
+            os.killpg(viewer.pid, signal.SIGCONT)
+        stop(viewer)
+
+
+@contextmanager
+def saving_viewer(port: int, path: Path) -> Iterator[None]:
+    """The viewer, which writes all that it receives within the block into a file instead of showing it."""
+    with serving(port, "--save", path):
         yield
         size = -1
         while size != (size := path.stat().st_size):  # it writes in its own time
             time.sleep(1)
-    finally:
-        os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
-        viewer.wait()

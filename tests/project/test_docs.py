@@ -15,7 +15,7 @@ from tests.helpers.page_inputs import prepare
 from tests.helpers.page_runner import run_command, run_python
 from tests.helpers.pages import PAGES, ROOT, PageError, anchors_of, blocks_of, links_of
 
-LINKING = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "airline" / "weights" / "README.md"]
+LINKING = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "airline" / "network" / "weights" / "README.md"]
 
 
 def name_of(page: Path) -> str:

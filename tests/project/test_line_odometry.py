@@ -11,19 +11,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from airline.scenes import RenderedClip
-from frontend import Frame, LineTracker
 from frontend.sources.scene import frame_of
 from line_odometry.adjust import adjust, costs
 from line_odometry.clips import OURS, TRUE_LINES, built_in, merged
 from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
-from line_odometry.mapping import map_lines
 from line_odometry.odometry import LineOdometry
-from line_odometry.pose import corners, pose_from_lines, poses_of_second
+from line_odometry.pose import pose_from_lines, poses_of_second
 from line_odometry.score import TrueLines, align, mapped
-from line_odometry.triangulation import triangulate
+from line_odometry.triangulation import map_lines, triangulate
 from line_odometry.views import View, gather
 from tests.frontend.test_frontend_evaluate import shared
 from tests.helpers.data_sets import write_posed
+from tests.helpers.made_tracks import made_tracks
 from tests.project.test_examples import example
 
 FOCAL = 500.0
@@ -140,13 +139,6 @@ def test_a_pose_is_found_among_wrong_lines():
     assert pose_from_lines(ends[:3], as_lines(segments)[:3], FOCAL) is None
 
 
-def test_corners_are_where_lines_meet_near_their_ends():
-    ends = np.array([[[0, 0], [100, 0]], [[102, 2], [102, 90]], [[50, 5], [50, 90]], [[0, 1], [100, 3]]]) / FOCAL
-    found = corners(View(np.array([7, 3, 5, 9]), homogeneous(ends)), FOCAL)
-    assert set(found) == {(7, 3), (3, 9)}
-    np.testing.assert_allclose(found[7, 3] * FOCAL, (102, 0), atol=1e-9)
-
-
 def views_of_truth(sequence: RenderedClip) -> tuple[list[View], np.ndarray]:
     views, poses = [], []
     for index, view in enumerate(sequence):
@@ -154,6 +146,13 @@ def views_of_truth(sequence: RenderedClip) -> tuple[list[View], np.ndarray]:
         views.append(View(view.ids, homogeneous(camera.normalize(view.segments_px))))
         poses.append(view.pose[:3])
     return views, np.array(poses)
+
+
+def run(views: list[View], focal: float) -> LineOdometry:
+    odometry = LineOdometry(focal)
+    for view in views:
+        odometry.add(view)
+    return odometry
 
 
 def test_two_views_tell_how_the_camera_moved():
@@ -172,9 +171,7 @@ def test_two_views_tell_how_the_camera_moved():
 def test_true_lines_give_the_true_path():
     sequence = RenderedClip(seed=5, frames=60, size=(320, 240))
     views, poses = views_of_truth(sequence)
-    odometry = LineOdometry(sequence.K[0, 0])
-    for view in views:
-        odometry.add(view)
+    odometry = run(views, sequence.K[0, 0])
     path = align(odometry.trajectory(), poses)
     assert path.ate_percent < 0.01
     assert path.rotation_deg < 0.01
@@ -192,9 +189,7 @@ def test_lines_tell_which_start_is_right(monkeypatch):
         return [np.column_stack([turn @ pose[:, :3], pose[:, [3]]]) for pose in right[:1]] + right
 
     monkeypatch.setattr("line_odometry.odometry.poses_of_second", misled)
-    odometry = LineOdometry(sequence.K[0, 0])
-    for view in views:
-        odometry.add(view)
+    odometry = run(views, sequence.K[0, 0])
     assert align(odometry.trajectory(), poses).rotation_deg < 0.01
 
 
@@ -202,26 +197,20 @@ def test_a_view_without_lines_is_bridged():
     sequence = RenderedClip(seed=5, frames=60, size=(320, 240))
     views, poses = views_of_truth(sequence)
     views[50] = View(np.zeros(0, np.int64), np.zeros((0, 2, 3)))
-    odometry = LineOdometry(sequence.K[0, 0])
-    for view in views:
-        odometry.add(view)
+    odometry = run(views, sequence.K[0, 0])
     assert odometry.lost == [50]
     assert align(odometry.trajectory(), poses).ate_percent < 0.5
 
 
 def test_a_camera_at_rest_has_no_path():
     sequence = RenderedClip(motion="static", frames=12, size=(320, 240))
-    odometry = LineOdometry(sequence.K[0, 0])
-    for view in views_of_truth(sequence)[0]:
-        odometry.add(view)
+    odometry = run(views_of_truth(sequence)[0], sequence.K[0, 0])
     assert odometry.trajectory().shape == (0, 3, 4)
 
 
 def test_our_lines_give_path_and_map():
     seen = built_in(60, [OURS, TRUE_LINES])
-    odometry = LineOdometry(seen.focal)
-    for view in seen.views[OURS]:
-        odometry.add(view)
+    odometry = run(seen.views[OURS], seen.focal)
     path = align(odometry.trajectory(), seen.poses)
     assert path.ate_percent < 1
     assert path.rotation_deg < 1
@@ -233,29 +222,9 @@ def test_our_lines_give_path_and_map():
 
 
 def test_a_camera_is_needed():
-    view = RenderedClip(frames=1, size=(320, 240)).render(0)
-    tracks = LineTracker().update(Frame(0, 0, view.image), _no_lines())
+    tracks = made_tracks(0, 0, np.arange(3), np.random.default_rng(0), camera=None)
     with pytest.raises(ValueError, match="calibration"):
         View.of(tracks)
-
-
-def _no_lines():
-    from airline import LineSet
-
-    return LineSet(np.zeros((0, 2, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 6), np.float32))
-
-
-def test_a_similarity_is_no_error():
-    _, poses, _ = made_world(4, views=12)
-    turn = Rotation.from_rotvec((0.3, -0.5, 0.2)).as_matrix()
-    other = np.concatenate([turn @ poses[:, :, :3], (3.0 * poses[:, :, 3] @ turn.T + (1, 2, 3))[:, :, None]], axis=2)
-    path = align(other, poses)
-    assert path.ate_percent < 1e-6
-    assert path.rotation_deg < 1e-4
-    assert path.scale == pytest.approx(1 / 3)
-    np.testing.assert_allclose(path.poses, poses, atol=1e-9)
-    other[6:, :, :3] = other[6:, :, :3] @ Rotation.from_rotvec((0, 0, np.deg2rad(2.0))).as_matrix()
-    assert align(other, poses).rotation_deg == pytest.approx(2.0 * np.sqrt(0.5), rel=1e-3)
 
 
 def test_shares_of_a_map():

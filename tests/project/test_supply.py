@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 import sys
-import tomllib
 import zipfile
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -15,12 +14,11 @@ import pytest
 from tests.helpers import licences, wheel
 from tests.helpers.pages import ROOT
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-EXTRAS = [text for extra in licences.EXTRAS for text in PROJECT["optional-dependencies"][extra]]
-
 
 def declared() -> set[str]:
-    return {licences.key_of(re.split(r"[^\w.-]", text)[0]) for text in [*PROJECT["dependencies"], *EXTRAS]}
+    extras = licences.PROJECT["optional-dependencies"]
+    texts = [*licences.PROJECT["dependencies"], *(text for extra in licences.EXTRAS for text in extras[extra])]
+    return {licences.key_of(re.split(r"[^\w.-]", text)[0]) for text in texts}
 
 
 def imported() -> dict[str, str]:

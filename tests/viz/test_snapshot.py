@@ -1,7 +1,8 @@
-"""Pictures and films of a recording that need no viewer and no graphics driver."""
+"""Pictures and films of a recording, plain ones and of the real viewer."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,24 +13,19 @@ import rerun as rr
 from airline.errors import InputError
 from frontend.colours import track_colours
 from tests.helpers.moving_rectangle import HEIGHT, STEP_NS, WIDTH, frame_results, rectangle
-from tests.helpers.viewer import needs_viewer, snapshot
-from viz.film import write_film
+from tests.helpers.viewer import FRAMES, needs_viewer, record, snapshot
+from viz.lines import log_tracks
+from viz.overlay import write_film
 from viz.recording import BACKGROUND, Recording
-from viz.rerun_sink import RerunSink
-from viz.snapshot import save_film, save_overlay
-from viz.track_lines import log_tracks
+from viz.snapshot import headless_viewer, save_film, save_overlay, save_picture, show_frame, wait_until_loaded
 
-FRAMES = 10
 NO_DRIVER = {"VK_DRIVER_FILES": "/none", "VK_ICD_FILENAMES": "/none"}
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("snapshot") / "run.rrd"
-    sink = RerunSink(save=path)
-    for result in frame_results(FRAMES):
-        sink.write(result)
-    sink.close()
+    record(path)
     return path
 
 
@@ -99,32 +95,16 @@ def test_background_is_as_large_as_the_lines_need_without_a_camera(tmp_path):
     assert (picture.reshape(-1, 3) == BACKGROUND).all(axis=1).mean() > 0.9
 
 
-@pytest.mark.parametrize("kind", ["raw", "grey", "video"])
-def test_images_in_every_form(tmp_path, kind):
-    path = tmp_path / "run.rrd"
-    images = [np.full((HEIGHT, WIDTH, 3), 20 * k + 10, np.uint8) for k in range(FRAMES)]
-    stream = rr.RecordingStream("test")
-    stream.save(path)
-    if kind == "video":
-        write_film(tmp_path / "film.mp4", images, 30)
-        video = rr.AssetVideo(path=tmp_path / "film.mp4")
-        stream.log("/camera/image", video, static=True)
-        times = video.read_frame_timestamps_nanos()
-    for k, result in enumerate(frame_results(FRAMES)):
-        stream.set_time("frame", sequence=k)
-        log_tracks(stream, result.tracks)
-        if kind == "raw":
-            stream.log("/camera/image", rr.Image(images[k], "BGR"))
-        elif kind == "grey":
-            stream.log("/camera/image", rr.Image(images[k][:, :, 0]))
-        else:
-            stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=times[k]))
-    stream.flush()
-    stream.disconnect()
-    shown = [frame.image for frame in Recording(path).frames()]
+@pytest.mark.parametrize(("mode", "shape"), [("raw", (3,)), ("raw", ()), ("video", (3,))])
+def test_images_in_every_form(tmp_path, mode, shape):
+    images = [np.full((HEIGHT, WIDTH, *shape), 20 * k + 10, np.uint8) for k in range(FRAMES)]
+    write_film(tmp_path / "film.mp4", [np.full((HEIGHT, WIDTH, 3), image.max()) for image in images], 30)
+    results = [replace(r, frame=replace(r.frame, image=i)) for r, i in zip(frame_results(FRAMES), images, strict=True)]
+    record(tmp_path / "run.rrd", results, image=mode, video=tmp_path / "film.mp4")
+    shown = [frame.image for frame in Recording(tmp_path / "run.rrd").frames()]
     assert len(shown) == FRAMES
     for image, expected in zip(shown, images, strict=True):
-        assert np.abs(image.astype(int) - expected).max() < 6
+        assert np.abs(image.astype(int) - expected.max()).max() < 6
 
 
 def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
@@ -146,9 +126,8 @@ def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
 def test_odd_sizes_make_a_film_too(tmp_path):
     write_film(tmp_path / "odd.mp4", [np.full((31, 45, 3), 80, np.uint8)] * 2, 12.5)
     film = cv2.VideoCapture(str(tmp_path / "odd.mp4"))
-    assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (46, 32)
+    assert film.read()[1].shape == (32, 46, 3)
     assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
-    film.release()
 
 
 def test_command_line_without_a_graphics_driver(recording, tmp_path):
@@ -157,13 +136,6 @@ def test_command_line_without_a_graphics_driver(recording, tmp_path):
     assert (outcome.returncode, outcome.stderr) == (0, "")
     np.testing.assert_array_equal(cv2.imread(str(picture)), drawn(recording, 8))
     assert film.stat().st_size > 1000
-
-
-@needs_viewer
-def test_without_a_driver_the_error_names_the_plain_picture(recording, tmp_path):
-    outcome = snapshot(recording, tmp_path / "picture.png", **NO_DRIVER)
-    assert outcome.returncode == 2
-    assert "--plain" in outcome.stderr
 
 
 @pytest.mark.parametrize(
@@ -185,6 +157,23 @@ def test_wrong_arguments_are_answered_in_one_sentence(recording, tmp_path, argum
     assert outcome.stderr.count("\n") == 1
 
 
+@needs_viewer
+@pytest.mark.parametrize(
+    ("name", "frame", "environment", "sentence"),
+    [
+        ("run.rrd", 99, {}, "error: there is no frame 99: choose one from 0 to 9"),
+        ("bad.rrd", 0, {}, "damaged or was cut short"),
+        ("run.rrd", 0, NO_DRIVER, "install a Vulkan driver, such as Debian's mesa-vulkan-drivers, or take a plain"),
+        ("none.rrd", 0, {}, "there is no recording"),
+    ],
+)
+def test_what_the_viewer_cannot_show_is_said(recording, tmp_path, name, frame, environment, sentence):
+    (recording.parent / "bad.rrd").write_bytes(b"no recording" * 100)
+    outcome = snapshot(recording.parent / name, tmp_path / "picture.png", "--frame", frame, **environment)
+    assert outcome.returncode == 2
+    assert sentence in outcome.stderr
+
+
 def test_recordings_of_others_and_damaged_ones(tmp_path):
     stream = rr.RecordingStream("test")
     stream.save(tmp_path / "other.rrd")
@@ -199,3 +188,32 @@ def test_recordings_of_others_and_damaged_ones(tmp_path):
         Recording(tmp_path / "bad.rrd")
     with pytest.raises(InputError, match="there is no recording"):
         Recording(tmp_path / "none.rrd")
+
+
+@needs_viewer
+def test_viewer_shows_the_tracks_and_has_no_complaints(recording, tmp_path):
+    complaints = save_picture(recording, tmp_path / "picture.png", frame=8, size=(1280, 800))
+    assert complaints == []
+    picture = cv2.imread(str(tmp_path / "picture.png"))
+    assert picture.shape == (800, 1280, 3)
+    assert picture.std() > 20
+    tracks = list(frame_results(FRAMES))[8].tracks
+    for colour in track_colours(tracks.ids, tracks.confirmed)[:, ::-1]:
+        near = np.abs(picture.astype(int) - colour).max(axis=2) < 12
+        assert near.sum() > 50, f"no line in the colour {colour}"
+
+
+@needs_viewer
+def test_regions_have_their_tracks_colour_whatever_was_shown_first(tmp_path):
+    """Ids grow, and the viewer went on with the scale of the classes in the frame that it showed first."""
+    grown = [
+        replace(r, tracks=replace(r.tracks, ids=r.tracks.ids + 700 * r.frame.index)) for r in frame_results(FRAMES)
+    ]
+    record(tmp_path / "run.rrd", grown)
+    with headless_viewer(tmp_path / "run.rrd", (1280, 800), 60) as client:
+        state = wait_until_loaded(client, tmp_path / "run.rrd")
+        for frame in (1, 8):
+            show_frame(client, state, frame, tmp_path / "picture.png")
+    beside = cv2.imread(str(tmp_path / "picture.png"))[:560, 780:].astype(int)  # of the view with the tracks
+    colour = track_colours(np.array([8 * 700]))[0, ::-1]
+    assert (np.abs(beside - colour).max(axis=2) < 12).sum() > 50

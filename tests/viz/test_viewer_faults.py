@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -11,22 +12,17 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from airline.errors import ConfigError, InputError
-from tests.helpers.command import command, python, recorded
-from tests.helpers.moving_rectangle import frame_results
+from tests.helpers.command import ROOT, command, python, recorded
 from tests.helpers.ports import free_port, listening
-from tests.helpers.viewer import RERUN, saving_viewer, viewers
-from viz.destination import Destination
+from tests.helpers.viewer import FRAMES, RERUN, record, saving_viewer, serving, viewers
 from viz.rerun_sink import RerunSink
-from viz.viewer import environment, serve
-
-FRAMES = 10
 
 needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
 
@@ -40,28 +36,6 @@ def long_clip(clip: Path, tmp_path: Path) -> Path:
     for number in range(320):
         (folder / f"{number}.png").write_bytes(pictures[number % len(pictures)])
     return folder
-
-
-@contextmanager
-def server(port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """A real viewer's receiving end."""
-    process = subprocess.Popen(
-        [RERUN, "--serve-grpc", "--bind", "127.0.0.1", "--port", str(port)],
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    try:
-        deadline = time.monotonic() + 15
-        while not listening(port) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        yield process
-    finally:
-        for sign in (signal.SIGCONT, signal.SIGKILL):
-            if process.poll() is None:
-                os.killpg(process.pid, sign)
-        process.wait()
 
 
 @contextmanager
@@ -84,67 +58,42 @@ def mute_port() -> Iterator[int]:
         connection.close()
 
 
-def record(path: Path, **options: object) -> None:
-    sink = RerunSink(save=path, **options)
-    for result in frame_results(FRAMES):
-        sink.write(result)
-    sink.close()
-
-
 def frames_in(path: Path) -> list[int]:
     return recorded(path)["/camera/tracks"]["frame"]
-
-
-def ends(holds: Callable[[], object], within_s: float = 10) -> bool:
-    """Whether a state of a viewer is over soon: a process that was killed takes a moment to go."""
-    until = time.monotonic() + within_s
-    while holds():
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def test_nobody_there_costs_one_warning(tmp_path, caplog):
     begin = time.monotonic()
     with caplog.at_level(logging.WARNING):
-        record(tmp_path / "run.rrd", connect=f"127.0.0.1:{free_port()}")
+        rows = record(tmp_path / "run.rrd", connect=f"127.0.0.1:{free_port()}")
     assert time.monotonic() - begin < 5
     (warning,) = caplog.records
     assert "going on without it" in warning.getMessage()
-    rows = recorded(tmp_path / "run.rrd")
     assert rows["/camera/tracks"]["frame"] == list(range(FRAMES))
     assert "no Rerun viewer answers" in rows["/log"]["TextLog:text"][0][0]
 
 
-def test_a_port_that_never_reads_costs_one_warning_and_two_seconds(tmp_path, caplog):
+@pytest.mark.parametrize("options", [{"image": "raw"}, {"image": "none", "every": FRAMES, "descriptor_every": 0}])
+def test_a_port_that_never_reads_costs_one_warning_and_few_seconds(tmp_path, caplog, options):
+    """Much data waits in a flush; little leaves this process at once, and Rerun's goodbye waits."""
     begin = time.monotonic()
     with caplog.at_level(logging.WARNING), mute_port() as port:
-        record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}")
-    assert time.monotonic() - begin < 8
-    (warning,) = caplog.records
-    assert "takes no data" in warning.getMessage()
-    assert frames_in(tmp_path / "run.rrd") == list(range(FRAMES))
-
-
-def test_the_goodbye_to_a_port_that_never_reads_ends(tmp_path, caplog, monkeypatch):
-    """Rerun's flush has been seen to return although nothing had arrived; what follows it then waits."""
-    monkeypatch.setattr(Destination, "_flush", lambda self: None)
-    begin = time.monotonic()
-    with caplog.at_level(logging.WARNING), mute_port() as port:
-        record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}", image="raw")
+        rows = record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}", **options)
     assert time.monotonic() - begin < 12
     (warning,) = caplog.records
     assert "takes no data" in warning.getMessage()
-    assert frames_in(tmp_path / "run.rrd") == list(range(FRAMES))
+    assert rows["/camera/tracks"]["frame"] == list(range(0, FRAMES, options.get("every", 1)))
 
 
-def test_a_stuck_viewer_does_not_make_the_run_grow(tmp_path):
-    """Uncompressed frames: without a bound, everything would be kept for it."""
+def test_a_stuck_viewer_does_not_make_the_run_grow():
+    """Uncompressed frames: without a bound, everything would be kept for it. Nobody closes the sink: that holds up
+    nothing, either."""
     script = f"""
 import resource, sys, time
+import viz.destination
 from tests.helpers.moving_rectangle import frame_results
 from viz.rerun_sink import RerunSink
+viz.destination.PATIENCE_S = 1.0
 sink = RerunSink(connect="127.0.0.1:" + sys.argv[1], image="raw")
 results = list(frame_results({FRAMES}))
 peaks = []
@@ -153,17 +102,11 @@ for number in range(1200):
     time.sleep(0.005)
     if number % 600 == 599:
         peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-sink.close()
 print(peaks[1] - peaks[0])
 """
     with mute_port() as port:
-        done = subprocess.run(
-            [sys.executable, "-c", script, str(port)],
-            cwd=Path(__file__).parents[2],
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
+        command = [sys.executable, "-c", script, str(port)]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
     assert float(done.stdout) < 40, "MB; 600 frames are 140"
     assert done.stderr.count("going on without it") == 1
@@ -174,7 +117,7 @@ print(peaks[1] - peaks[0])
 def test_a_viewer_that_fails_in_the_middle(long_clip, tmp_path, sign):
     port, path = free_port(), tmp_path / "run.rrd"
     with (
-        server(port) as viewer,
+        serving(port, "--serve-grpc") as viewer,
         python(long_clip, "--save", path, "--connect", f"127.0.0.1:{port}", stdout=-1, stderr=-1) as run,
     ):
         while not path.exists() or path.stat().st_size < 200_000:
@@ -205,25 +148,7 @@ def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
 
 
 @needs_rerun
-def test_web_viewer_is_for_this_machine_alone():
-    web = serve()
-    assert web is not None
-    ports = [int(part.split("/")[0]) for part in (web.url.split(":")[2], web.stream.split(":")[2])]
-    try:
-        for port in ports:
-            assert listening(port) == {"0100007F"}
-        with socket.create_connection(("127.0.0.1", ports[0])) as browser:
-            browser.sendall(b"GET / HTTP/1.0\r\n\r\n")
-            assert b"200 OK" in browser.recv(100)
-        started = set(viewers(ports[1]))
-        assert started
-    finally:
-        web.close()
-    assert ends(lambda: started & set(viewers(ports[1])))
-
-
-@needs_rerun
-def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
+def test_serving_is_for_this_machine_alone_and_goes_on_until_it_is_interrupted(clip, tmp_path):
     path = tmp_path / "run.rrd"
     with python(clip, "--serve", "--save", path, stdout=-1, stderr=-1) as run:
         lines = []
@@ -231,15 +156,20 @@ def test_serving_goes_on_after_the_run_until_it_is_interrupted(clip, tmp_path):
             lines.append(line)
             if line.startswith("serving at"):
                 break
-        assert lines[0].startswith("watch at http://127.0.0.1:")
-        port = int(lines[1].strip().split(":")[-1].split("/")[0])
-        assert listening(port) == {"0100007F"}
+        ports = [int(re.search(r"127\.0\.0\.1:(\d+)", line)[1]) for line in lines[:2]]  # for browsers, and viewers
+        assert [listening(port) for port in ports] == [{"0100007F"}] * 2
+        with socket.create_connection(("127.0.0.1", ports[0])) as browser:
+            browser.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            assert b"200 OK" in browser.recv(100)
+        assert viewers(ports[1])
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
         _, err = run.communicate(timeout=20)
-    assert run.returncode == 0
-    assert err == ""
-    assert ends(lambda: listening(port))
+    assert (run.returncode, err) == (0, "")
+    until = time.monotonic() + 10  # a process that was killed takes a moment to go
+    while viewers(ports[1]) or listening(ports[1]):
+        assert time.monotonic() < until
+        time.sleep(0.02)
     assert frames_in(path) == list(range(8))
 
 

@@ -17,26 +17,19 @@ import pytest
 from tests.helpers.command import command
 from tests.helpers.ports import free_port, listening
 from tests.helpers.viewer import viewers
-from viz.viewer import environment, open_viewer
+from viz.viewer import open_viewer, start, stop
 
 NO_SCREEN = ":4077"
 
 
-def test_a_dead_display_opens_nothing(monkeypatch):
-    monkeypatch.setenv("DISPLAY", NO_SCREEN)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    port = free_port()
-    assert open_viewer(port) is None
-    assert viewers(port) == []
-
-
-def test_a_dead_display_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
+def test_a_dead_display_opens_nothing_and_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
     monkeypatch.setenv("DISPLAY", NO_SCREEN)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, free_port()))
-    done = command(clip, "--max-frames", "2")
-    assert done.code == 0
+    port = free_port()
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, port))
+    assert command(clip, "--max-frames", "2").code == 0
+    assert viewers(port) == []
     assert "no viewer window could be opened: saving room.rrd instead" in caplog.text
     assert (tmp_path / "room.rrd").stat().st_size > 1000
 
@@ -66,21 +59,17 @@ def test_a_window_opens_and_is_used_again(monkeypatch):
 
 
 def test_the_viewer_reports_to_nobody():
-    program = Path(sys.executable).parent / "rerun"
-    if not program.exists():
+    viewer = start(free_port(), "--headless", output=subprocess.PIPE, RUST_LOG="re_analytics=debug")
+    if viewer is None:
         pytest.skip("Rerun's viewer is not installed beside this Python")
-    command = [program, "--headless", "--bind", "127.0.0.1", "--port", str(free_port())]
-    loud = {**environment(), "RUST_LOG": "re_analytics=debug"}
-    with subprocess.Popen(
-        command, env=loud, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
-    ) as viewer:
-        stop = threading.Timer(30, os.killpg, [viewer.pid, signal.SIGKILL])
-        stop.start()
+    with viewer:
+        watchdog = threading.Timer(30, stop, [viewer])
+        watchdog.start()
         try:
             said = next((line for line in viewer.stdout if b"nalytics" in line), b"nothing")
         finally:
-            stop.cancel()
-            os.killpg(viewer.pid, signal.SIGKILL)
+            watchdog.cancel()
+            stop(viewer)
     assert b"Analytics disabled" in said
 
 
