@@ -8,6 +8,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -97,30 +99,31 @@ def test_the_flag_makes_the_input_live() -> None:
 
 def test_a_recording_waits_until_everything_is_ready() -> None:
     recording = Recording([0, 10, 20])
-    frames = Peeked(FreshFrames(RealtimeSource(recording), max_latency_s=60))
-    time.sleep(0.2)
-    assert recording.given == 1
-    assert [frame.index for frame in frames] == [0, 1, 2]
-    frames.close()
+    with closing(Peeked(FreshFrames(RealtimeSource(recording), max_latency_s=60))) as frames:
+        time.sleep(0.2)
+        assert recording.given == 1
+        assert [frame.index for frame in frames] == [0, 1, 2]
 
 
 def test_a_camera_does_not_wait_and_its_frames_do_not_age() -> None:
     """While the consumer prepares with the first frame, nothing counts as dropped."""
     camera = Camera(1000)
-    frames = Peeked(fresh := FreshFrames(camera))
-    time.sleep(60 * PERIOD_S)
-    assert camera.given > 20
-    assert fresh.dropped == 0
-    first, second = (frame for frame, _ in zip(frames, range(2), strict=False))
-    assert (first.index, second.index > 15) == (0, True)
-    assert time.perf_counter() - second.read_s < 0.2
-    frames.close()
+    with closing(Peeked(fresh := FreshFrames(camera))) as frames:
+        time.sleep(60 * PERIOD_S)
+        assert camera.given > 20
+        assert fresh.dropped == 0
+        first, second = islice(frames, 2)
+        assert first is frames.first
+        assert second.index > 15
+        assert time.perf_counter() - second.read_s < 0.2
 
 
 def test_the_oldest_are_dropped_and_counted(caplog: pytest.LogCaptureFixture) -> None:
     camera = Camera(200)
-    fresh = FreshFrames(camera)
-    results = list(LineFrontend(AirLine(edges=SlowEdges())).results(fresh))
+    frontend = LineFrontend(AirLine(edges=SlowEdges()))
+    frontend.warm_up(pictures(1)[0])
+    with closing(FreshFrames(camera)) as fresh:
+        results = list(frontend.results(fresh))
     indices = [result.frame.index for result in results]
     assert indices == sorted(set(indices))
     assert indices[-1] == 199, "the newest frame is never dropped"
@@ -129,25 +132,22 @@ def test_the_oldest_are_dropped_and_counted(caplog: pytest.LogCaptureFixture) ->
     assert max(result.latency_ms for result in results) < 1e3 * 200 * PERIOD_S, "it does not add up to five times that"
     warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert warnings == ["camera-7: frames come faster than they are processed: dropping the oldest"]
-    fresh.close()
     assert camera.closed
 
 
 def test_a_frame_that_has_waited_too_long_is_dropped() -> None:
-    fresh = FreshFrames(Camera(4), max_latency_s=0.5)
-    frames = iter(fresh)
-    assert [next(frames).index, next(frames).index] == [0, 1]
-    time.sleep(1)  # the two others are in by now, and there is room for both
-    assert list(frames) == []
-    assert fresh.dropped == 2
-    fresh.close()
+    with closing(FreshFrames(Camera(4), max_latency_s=0.5)) as fresh:
+        frames = iter(fresh)
+        assert [next(frames).index, next(frames).index] == [0, 1]
+        time.sleep(1)  # the two others are in by now, and there is room for both
+        assert list(frames) == []
+        assert fresh.dropped == 2
 
 
 def test_a_fast_enough_consumer_drops_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    fresh = FreshFrames(Camera(20), max_latency_s=60)
-    assert [frame.index for frame in fresh] == list(range(20))
-    assert (fresh.dropped, caplog.records) == (0, [])
-    fresh.close()
+    with closing(FreshFrames(Camera(20), max_latency_s=60)) as fresh:
+        assert [frame.index for frame in fresh] == list(range(20))
+        assert (fresh.dropped, caplog.records) == (0, [])
 
 
 def test_an_error_of_a_live_source_comes_behind_its_frames() -> None:

@@ -69,9 +69,13 @@ def fill_rows(gray, mean, blocks, copies, columns, first, last):  # type: ignore
                 target[2 * x + level % 2] = np.int16(np.rint(row[x]))
 
 
-@njit(fastmath=True)
+@njit(fastmath=True, inline="always")
 def box_mean(image, radius, means):  # type: ignore[no-untyped-def]
-    """Mean of the square around each pixel, as far as the square lies in the image; both (h, w) float32."""
+    """Mean of the square around each pixel, as far as the square lies in the image; both (h, w) float32.
+
+    Inlined, so that there is one copy: a caller from the cache had another one than a fresh caller, whose sums were
+    rounded otherwise.
+    """
     rows, columns = image.shape
     sums = np.zeros(columns + 2 * radius, np.float32)
     share = np.empty(columns, np.float32)
