@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.scenes import RenderedClip
-from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
 from frontend.evaluation.rendered import RADIUS, SceneClip, cut_by_discs, occlude, occluder_discs, rendered_clips
 from frontend.evaluation.truth import Truth
@@ -133,24 +132,7 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
     assert (frame.image[inner] != bare.image[inner]).any(axis=1).mean() > 0.99
 
     assert set(truth.ids) <= set(full.ids)
-    cut = 0
-    for segment in full.segments_px[::6]:
-        pieces, _ = cut_by_discs(segment[None], occluder_discs(16, *SIZE), RADIUS)
-        delta = segment[1] - segment[0]
-        length = float(np.hypot(*delta))
-        shares = np.linspace(0, 1, round(length / 0.05))[:, None]
-        hidden = hidden_at(segment[0] + shares * delta, 16)
-        borders = np.flatnonzero(np.diff(np.concatenate([[True], hidden, [True]])))
-        runs = (borders[1::2] - borders[::2]) * 0.05  # visible stretches, px
-        found = np.hypot(*(pieces[:, 1] - pieces[:, 0]).T)
-        # A stretch within the sampling's reach of the least length may count or not.
-        clear = np.abs(runs - MIN_LENGTH) > 0.3
-        if clear.all():
-            np.testing.assert_allclose(found, runs[runs >= MIN_LENGTH], atol=0.2)
-        middle = hidden_at(pieces.mean(axis=1), 16)
-        assert not middle.any()
-        cut += int(hidden.any())
-    assert cut > 10
+    assert not hidden_at(truth.segments_px.mean(axis=1), 16).any()
 
 
 def test_cut_by_discs_leaves_both_ends() -> None:
@@ -188,11 +170,9 @@ def test_moved_photos_are_spread_over_the_folder_and_the_same_each_time(folder: 
     assert isinstance(clips[1], MovedPhoto)
     assert np.abs(clips[1].photo.astype(int) - last).max() <= 1
     frames = list(clips[0])
-    assert len(frames) == len(clips[0]) == 5
     assert all(same(a, b) for a, b in zip(frames, moved_photos(folder, count=2, frames=5)[0], strict=True))
     assert not np.array_equal(frames[0][0].image, frames[1][0].image)
-    assert frames[0][0].image.shape == (180, 240)
-    assert [frame.index for frame, _ in frames] == [0, 1, 2, 3, 4]
+    assert [(frame.index, frame.image.shape) for frame, _ in frames] == [(k, (180, 240)) for k in range(5)]
 
 
 @pytest.mark.parametrize("photo_size", [(640, 480), (512, 512), (480, 640), (640, 286)])
@@ -208,26 +188,6 @@ def test_homographies_are_smooth_keep_inside_and_move_as_a_hand_does(photo_size:
         assert 2 < steps.mean() < 12
         assert 5 < steps.max() < 20
         assert np.linalg.norm(np.diff(outline, 2, axis=0), axis=2).max() < 8
-
-
-def test_the_image_follows_the_homography(photo: MovedPhoto) -> None:
-    dots = np.stack(np.meshgrid(np.arange(30, 300, 30), np.arange(30, 220, 30)), axis=-1).reshape(-1, 2)
-    pattern = np.full((240, 320), 128, np.uint8)
-    for x, y in dots:
-        cv2.circle(pattern, (int(x), int(y)), 3, 255, -1)
-    clip = replace(photo, photo=pattern)
-    width, height = clip.size
-    for (frame, _), move in zip(clip, clip.homographies(), strict=True):
-        image = grey(frame) - np.median(frame.image)
-        expected = warp(dots.astype(np.float64), move)
-        inside = ((expected > 8) & (expected < np.array([width, height]) - 9)).all(axis=1)
-        assert inside.sum() > 10
-        for x, y in expected[inside]:
-            column, row = round(x), round(y)
-            patch = np.clip(image[row - 6 : row + 7, column - 6 : column + 7] - 12, 0, None)
-            dy, dx = np.mgrid[-6:7, -6:7]
-            found = (column + (patch * dx).sum() / patch.sum(), row + (patch * dy).sum() / patch.sum())
-            np.testing.assert_allclose(found, (x, y), atol=0.25)
 
 
 def test_true_lines_of_a_photograph_are_steps_of_every_frame(photo: MovedPhoto) -> None:
