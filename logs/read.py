@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from airline.errors import InputError
 from frontend.tracks import LineTracks
+from logs.files import MCAP_MAGIC
 from logs.tracks.json import SCHEMA_NAME, decode_tracks
 from logs.tracks.table import TableNotes, needed_columns, read_frames
 
@@ -115,4 +116,4 @@ def _read_journal(path: Path) -> Iterator[LineTracks]:
         raise InputError(f"cannot read tracks from '{path}': {error}") from error
 
 
-_KINDS = {b"\x89MCAP0\r\n": _read_mcap, b"PAR1": _read_parquet, b"\xff\xff\xff\xff": _read_journal}
+_KINDS = {MCAP_MAGIC: _read_mcap, b"PAR1": _read_parquet, b"\xff\xff\xff\xff": _read_journal}

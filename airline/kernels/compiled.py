@@ -25,10 +25,14 @@ _warned = False
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with `OPTIONS`, more of them, and a cache; where there is no folder for it, a warning."""
+    """`numba.njit` with `OPTIONS`, more of them, and a cache; where there is no folder for it, a warning.
+
+    Fast-math functions are inlined into their callers: LLVM orders the sums of each copy in its own way, and which of
+    several copies a process calls would depend on whether it has compiled them or found them in the cache.
+    """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(**{**OPTIONS, **options})(function)
+        dispatcher = numba.njit(**{**OPTIONS, "forceinline": "fastmath" in options, **options})(function)
         try:
             dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
         except RuntimeError as error:  # neither beside the source nor in the home folder

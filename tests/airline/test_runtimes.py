@@ -15,7 +15,7 @@ import torch
 from airline import AirLine
 from airline.config import Runtime
 from airline.errors import ConfigError, WeightsError
-from airline.evaluation.metrics import score
+from airline.evaluation.metrics import pixel_scores
 from airline.network import processor
 from airline.network.processor import AVX2, AVX2_VNNI, AVX512_VNNI, Isa, has_bf16, vector_instructions
 from airline.network.runtimes import open_network
@@ -55,7 +55,7 @@ def test_cuda_agrees_with_the_cpu_and_keeps_its_results(scene: np.ndarray) -> No
 def test_finds_the_lines_that_torch_finds(scene: np.ndarray, runtime: Runtime) -> None:
     ours, theirs = AirLine(runtime=runtime)(scene), AirLine(runtime="torch")(scene)
     assert abs(len(ours) - len(theirs)) <= 0.03 * len(theirs)
-    same = score(ours.segments, theirs.segments, theirs.segments, scene.shape)
+    same = pixel_scores(ours.segments, theirs.segments, theirs.segments, scene.shape)
     assert min(same.p1, same.r1) > 0.97, "pixels of the lines within 1 px of the others'"
 
 

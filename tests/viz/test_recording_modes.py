@@ -12,10 +12,10 @@ import av
 import cv2
 import numpy as np
 import pytest
-from frontend.evaluation.endurance import resident_mb
 
 from airline.errors import ConfigError, InputError
 from frontend.colours import CYCLE, hsv_to_rgb, track_colours
+from frontend.soak import resident_mb
 from tests.helpers.command import command, recorded
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle

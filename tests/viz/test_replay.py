@@ -66,7 +66,7 @@ def test_numbers_are_those_of_the_file(files, tmp_path, name):
 
 
 def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("logs.sinks.mcap_output.FLUSH_S", 0)  # a chunk for each frame
+    monkeypatch.setattr("logs.sinks.output.FLUSH_S", 0)  # a chunk for each frame
     sink = McapTrackSink(tmp_path / "whole.mcap")
     for result in clip_results():
         sink.write(result)
