@@ -15,7 +15,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-EXTRAS = [extra for extra in PROJECT["optional-dependencies"] if extra != "dev"]  # what users install
+EXTRAS = [extra for extra in PROJECT["optional-dependencies"] if extra not in ("all", "dev")]  # what users install
 PERMISSIVE = re.compile(
     r"apache|\bmit\b|bsd|\bisc\b|zlib|\bpsf\b|python-2|python software|unlicense|0bsd|cc0|hpnd|any-osi", re.IGNORECASE
 )
