@@ -15,8 +15,8 @@ from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
-from logs.files.types import LogFile
-from logs.messages.registry import is_calibration_type, read_message
+from logs.files import LogFile
+from logs.messages.readers import is_calibration_type, read_message
 from logs.messages.types import CameraInfo, UndecodableError
 from logs.topics import printable
 

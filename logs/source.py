@@ -18,12 +18,11 @@ from frontend.protocols import Source
 from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
 from logs.calibration import camera_from_log
+from logs.files import LogFile, LogMessage
 from logs.files.mcap_file import McapFile
-from logs.files.types import LogFile, LogMessage
 from logs.images.decoder import ImageDecoder, decode_still
-from logs.messages.annexb import is_key_frame
-from logs.messages.registry import read_message
-from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
+from logs.messages.readers import read_message
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket, is_key_frame
 from logs.stamps import StampClock, TimeSource, own_stamp
 from logs.topics import choose_topic, mean_rate_hz, printable
 

@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from typing import Literal
 
-from logs.files.types import LogMessage
+from logs.files import LogMessage
 from logs.messages.types import UndecodableError
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 
 from airline.errors import InputError
-from logs.files.types import LogMessage, Topic, TopicType
+from logs.files import LogMessage, Topic, TopicType
 
 Reader = rosbag1.Reader | rosbag2.Reader
 

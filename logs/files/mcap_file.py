@@ -15,9 +15,8 @@ from mcap.records import Channel, ChunkIndex, McapRecord, Message, Schema, Stati
 from mcap.summary import Summary
 
 from airline.errors import InputError
-from logs.files import MCAP_MAGIC
+from logs.files import MCAP_MAGIC, LogMessage, Topic, TopicType
 from logs.files.mcap_records import DamageError, RecordFile, define
-from logs.files.types import LogMessage, Topic, TopicType
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import from_extra
-from logs.messages.annexb import is_key_frame
-from logs.messages.types import UndecodableError, VideoPacket
+from logs.messages.types import UndecodableError, VideoPacket, is_key_frame
 
 with from_extra("video"):
     import av

@@ -19,7 +19,7 @@ from logs import read_tracks
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still
 from logs.live.message import decode
-from logs.messages.registry import reader_for
+from logs.messages.readers import reader_for
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from logs.sinks.csv import CsvTrackSink
 from logs.sinks.mcap_tracks import McapTrackSink
