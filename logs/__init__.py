@@ -7,10 +7,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from logs.live.zeromq import subscribe_tracks
     from logs.read import read_tracks
-    from logs.sinks.mcap_tracks import McapTrackSink
-    from logs.sinks.parquet import ParquetTrackSink
+    from logs.sinks.foxglove import McapTrackSink
+    from logs.sinks.tables import ParquetTrackSink
+    from logs.sinks.zeromq import subscribe_tracks
     from logs.source import LogImageSource, McapImageSource
     from logs.stamps import TimeSource
 
@@ -28,10 +28,10 @@ __all__ = [
 _MODULES = {
     "LogImageSource": "logs.source",
     "McapImageSource": "logs.source",
-    "McapTrackSink": "logs.sinks.mcap_tracks",
-    "ParquetTrackSink": "logs.sinks.parquet",
+    "McapTrackSink": "logs.sinks.foxglove",
+    "ParquetTrackSink": "logs.sinks.tables",
     "read_tracks": "logs.read",
-    "subscribe_tracks": "logs.live.zeromq",
+    "subscribe_tracks": "logs.sinks.zeromq",
 }
 
 

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
 
         return print(f"{path}: finished, {repair_folder(path)} images")
     if journal:
-        from logs.sinks.parquet import finish_journal
+        from logs.sinks.tables import finish_journal
 
         return print(f"{out}: finished, {finish_journal(path, out, options.overwrite)} rows")
     part = out.with_name(f".{out.name}.part")

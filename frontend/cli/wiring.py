@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink, Source
     from frontend.tracks import LineTracks
-    from logs.live.foxglove import FoxgloveServer
-    from logs.live.zeromq import ZmqPublisher
+    from logs.sinks.foxglove import FoxgloveServer
+    from logs.sinks.zeromq import ZmqPublisher
     from viz.viewer import WebViewer
 
 log = logging.getLogger(__name__)

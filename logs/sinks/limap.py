@@ -22,7 +22,7 @@ from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.output import OutputFile, errors_of, whole_file
+from logs.sinks.output import OutputFile, check_folder, errors_of, whole_file
 
 SEGMENTS = Path("line_detections/lsd/segments")
 MATCHES = Path("line_matchings/lsd/feats_lbd")
@@ -155,15 +155,6 @@ def lines_for_limap(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np
         segments = camera.normalize(segments) * np.array([camera.fx, camera.fy]) + (camera.cx, camera.cy)
     found = np.isfinite(segments).all((1, 2))
     return (segments[found] + _CORNER).reshape(-1, 4), tracks.ids[found]
-
-
-def check_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse, before any work, a folder that holds files or cannot be made; raises InputError."""
-    if folder.is_dir():
-        if any(folder.iterdir()) and not overwrite:
-            raise InputError(f"'{folder}' holds files: choose an empty folder or give --overwrite")
-    elif folder.exists() or not os.path.isdir(folder.parent):  # noqa: PTH112
-        raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
 
 
 def finish_folder(folder: Path, neighbours: int) -> int:

@@ -13,8 +13,8 @@ from contextlib import suppress
 from airline.errors import ConfigError, InputError, from_extra
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.live.address import Address, cannot_publish, parse_address
-from logs.live.message import MAX_BYTES, LiveTracks, decode, encode
+from logs.sinks.open import Address, cannot_publish, parse_address
+from logs.tracks.message import MAX_BYTES, LiveTracks, decode, encode
 
 with from_extra("zeromq"):
     import zmq
