@@ -51,8 +51,11 @@ class LogImageSource(Source):
         InputError: no such topic; while iterating, when not one message can be decoded.
     """
 
+    name: str
+
     def __init__(self, file: LogFile, topic: str | None = None, *, time_source: TimeSource = "header") -> None:
         self._file = file
+        self.name = file.name
         self._time_source = time_source
         self._skips = Skips(file.name)
         self._start_ns = 0  # since the first frame
@@ -62,10 +65,6 @@ class LogImageSource(Source):
         except InputError:
             self.close()
             raise
-
-    @property
-    def name(self) -> str:
-        return self._file.name
 
     @property
     def frame_count(self) -> int | None:

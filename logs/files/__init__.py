@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from airline.errors import InputError
 from logs.messages.types import Bytes
@@ -45,36 +45,28 @@ class LogMessage:
     data: Bytes
 
 
-class LogFile(Protocol):
-    """An opened log. Reading never stops at damage: what can be read is read, and `lost` counts the rest."""
+class LogFile:
+    """An opened log. Reading never stops at damage: what can be read is read.
 
-    @property
-    def name(self) -> str:
-        """Short name, for file names and warnings."""
-        ...
+    Attributes:
+        name: short, for file names and warnings.
+        topics: those with messages, by name.
+        span_ns: first and last log time of all messages, ns; None if there are none.
+        lost: what could not be read so far: how many times, by reason.
+    """
 
-    @property
-    def topics(self) -> Mapping[str, Topic]:
-        """Topics with messages."""
-        ...
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of all messages, ns; None if there are none."""
-        ...
+    name: str
+    topics: Mapping[str, Topic]
+    span_ns: tuple[int, int] | None
+    lost: Counter[str]
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
         """Messages of one of `topics` by log time; those logged before `start_ns` are left out and not read."""
-        ...
-
-    @property
-    def lost(self) -> Mapping[str, int]:
-        """What could not be read so far: how many times, by reason."""
-        ...
+        raise NotImplementedError
 
     def close(self) -> None:
         """Release the file; safe to call twice."""
-        ...
+        raise NotImplementedError
 
 
 def open_log(path: str | os.PathLike[str]) -> LogFile:

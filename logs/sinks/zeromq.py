@@ -93,7 +93,7 @@ def _check_file(address: Address) -> None:
 
 
 def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSubscription:
-    """The tracks that another process publishes, from now on; the process may start later.
+    """The tracks that another process publishes, from now on; it may start later.
 
     Example:
         >>> with subscribe_tracks("tcp://127.0.0.1:5555") as subscription:  # doctest: +SKIP
@@ -106,7 +106,7 @@ def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSu
 
     Raises:
         ConfigError: no such address.
-        InputError: it cannot be used; more in `TrackSubscription`.
+        InputError: it cannot be used.
     """
     return TrackSubscription(address, timeout_s)
 
