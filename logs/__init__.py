@@ -38,12 +38,7 @@ _MODULES = {
 def open_images(
     path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
 ) -> LogImageSource:
-    """The images of one topic of any log that can be read: MCAP, ROS 1 .bag, a ROS 2 bag folder.
-
-    Args:
-        path: the log.
-        topic: the image topic; may be left out if there is only one.
-        time_source: where stamps come from: "header", "publish" or "log".
+    """The images of one topic of a log, MCAP, ROS 1 .bag or ROS 2 bag folder; see `LogImageSource`.
 
     Raises:
         InputError: no log that can be read, or no such topic.

@@ -70,11 +70,7 @@ class LogFile:
 
 
 def open_log(path: str | os.PathLike[str]) -> LogFile:
-    """Open a log of any kind: MCAP, ROS 1 bag, ROS 2 bag folder or database. Its content decides, not its name.
-
-    Raises:
-        InputError: it cannot be read, or is no log.
-    """
+    """Open a log of any kind; its content decides, not its name. Raises InputError: it cannot be read, or is no log."""
     log = Path(path)
     try:
         start = b""

@@ -129,10 +129,7 @@ class ImageDecoder:
         self._video: VideoDecoder | None = None
 
     def decode(self, record: RawImage | EncodedImage | VideoPacket) -> list[tuple[int, NDArray[np.uint8]]]:
-        """Decode one record.
-
-        Returns:
-            (stamp in ns, (H, W) or (H, W, 3) BGR image): one for a still; for a video packet see `VideoDecoder.feed`.
+        """(stamp in ns, (H, W) or (H, W, 3) BGR image) of a still; for a video packet see `VideoDecoder.feed`.
 
         Raises:
             UndecodableError: no image comes of this record; the next may be decoded all the same.

@@ -11,11 +11,7 @@ Bytes = bytes | memoryview
 
 
 class UndecodableError(InputError):
-    """A message that cannot be used.
-
-    Attributes:
-        reason: what is wrong, the same words for every message with the same fault, so that they can be counted.
-    """
+    """A message that cannot be used; `reason` has the same words for the same fault, so that they can be counted."""
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(f"{reason}: {detail}" if detail else reason)
@@ -29,8 +25,7 @@ class RawImage:
     Attributes:
         stamp_ns: the message's own stamp, ns, as it is: it may be zero or nonsense.
         frame_id: name of the camera's coordinate frame.
-        width: px, as claimed.
-        height: the same.
+        width, height: px, as claimed.
         encoding: ROS name such as "bgr8" or "bayer_rggb8".
         step: bytes from one row to the next.
         big_endian: byte order of 16-bit pixels.
@@ -71,8 +66,7 @@ class CameraInfo:
     """A camera calibration as messages carry it (sensor_msgs/CameraInfo, foxglove.CameraCalibration).
 
     Attributes:
-        width: px, of the images the calibration was made with.
-        height: the same.
+        width, height: px, of the images the calibration was made with.
         distortion_model: name such as "plumb_bob"; may be empty.
         d: distortion coefficients.
         k: row-major 3x3 intrinsics.

@@ -166,7 +166,7 @@ def finish_folder(folder: Path, neighbours: int) -> int:
 
 
 def repair_folder(folder: Path) -> int:
-    """Finish the folder of a run that never ended; returns how many images it has. Raises InputError."""
+    """Finish the folder of a run that never ended; returns how many images it has, raises InputError."""
     names = sorted(path.name for path in (folder / MATCHES).glob("lbd_n*_top0"))
     count = names[0].removeprefix("lbd_n").removesuffix("_top0") if names else ""
     if not count.isdecimal() or not (folder / IMAGES).is_file():

@@ -59,11 +59,11 @@ def check(spec: str, overwrite: bool = False) -> None:
 
 
 def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
-    """Open an output for tracked lines.
+    """Open an output for tracked lines; raises InputError where `check` does.
 
     Args:
         spec: see `kind_and_path`.
-        overwrite: replace what is there, which is an InputError otherwise.
+        overwrite: replace what is there.
         with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
     """
     kind, path = kind_and_path(spec)
@@ -122,12 +122,7 @@ def cannot_publish(address: Address, reason: str) -> InputError:
 
 
 def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
-    """Bind an address for tracked lines.
-
-    Args:
-        address: see `parse_address`.
-        name: of the input.
-        labels: write ids beside the lines, where a viewer is served.
+    """Bind an address, see `parse_address`, for tracked lines; viewers also get ids as labels.
 
     Raises:
         ConfigError: no address, or the extra that serves it is not installed.

@@ -30,9 +30,9 @@ _LARGEST_REQUEST = 1 << 16  # bytes; consumers send nothing but subscriptions
 class ZmqPublisher:
     """Sends each frame's tracks to whoever is connected; a `Sink`.
 
-    A PUB socket that never waits for a consumer: one that is slow loses messages, which their numbers show, and one
-    that comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, so
-    that consumers that are there already have connected. The last message says that it is.
+    A PUB socket never waits for a consumer: one that is slow loses messages, which their numbers show, and one that
+    comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, for
+    consumers that are there already. The last message says that it is.
 
     Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """

@@ -126,11 +126,7 @@ def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str,
 
 
 def decode(data: bytes) -> LiveTracks:
-    """The inverse of `encode`, for bytes of anybody.
-
-    Raises:
-        InputError: no such message, one of another version, or one whose parts do not fit each other.
-    """
+    """The inverse of `encode`; raises InputError: no such message, of another version, or its parts do not fit."""
     if len(data) > MAX_BYTES:
         raise InputError(f"not a valid message of a line stream: it has more than {MAX_BYTES} bytes")
     try:
