@@ -7,10 +7,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from logs.live.zeromq import subscribe_tracks
     from logs.read import read_tracks
-    from logs.sinks.mcap_tracks import McapTrackSink
-    from logs.sinks.parquet import ParquetTrackSink
+    from logs.sinks.foxglove import McapTrackSink
+    from logs.sinks.tables import ParquetTrackSink
+    from logs.sinks.zeromq import subscribe_tracks
     from logs.source import LogImageSource, McapImageSource
     from logs.stamps import TimeSource
 
@@ -28,22 +28,17 @@ __all__ = [
 _MODULES = {
     "LogImageSource": "logs.source",
     "McapImageSource": "logs.source",
-    "McapTrackSink": "logs.sinks.mcap_tracks",
-    "ParquetTrackSink": "logs.sinks.parquet",
+    "McapTrackSink": "logs.sinks.foxglove",
+    "ParquetTrackSink": "logs.sinks.tables",
     "read_tracks": "logs.read",
-    "subscribe_tracks": "logs.live.zeromq",
+    "subscribe_tracks": "logs.sinks.zeromq",
 }
 
 
 def open_images(
     path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
 ) -> LogImageSource:
-    """The images of one topic of any log that can be read: MCAP, ROS 1 .bag, a ROS 2 bag folder.
-
-    Args:
-        path: the log.
-        topic: the image topic; may be left out if there is only one.
-        time_source: where stamps come from: "header", "publish" or "log".
+    """The images of one topic of a log, MCAP, ROS 1 .bag or ROS 2 bag folder; see `LogImageSource`.
 
     Raises:
         InputError: no log that can be read, or no such topic.

@@ -9,14 +9,14 @@ import logging
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, takewhile
 
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
 from frontend.camera.lens import lens
 from frontend.camera.model import CameraModel
-from logs.files.types import LogFile
-from logs.messages.registry import is_calibration_type, read_message
+from logs.files import LogFile
+from logs.messages.readers import is_calibration_type, read_message
 from logs.messages.types import CameraInfo, UndecodableError
 from logs.topics import printable
 
@@ -28,9 +28,9 @@ _TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h
 
 
 def camera_from_log(file: LogFile, image_topic: str, size: tuple[int, int]) -> CameraModel | None:
-    """The camera that a log's calibration messages give for a topic's images of a size (width, height), px.
+    """The camera of a topic's images of a size (width, height), px, by the log's calibration messages.
 
-    None where the log has no calibration for the topic, or one that cannot be used, with a warning.
+    None where the log has none for the topic, or one that cannot be used, with a warning.
     """
     topics = [name for name, topic in file.topics.items() if is_calibration_type(topic.type.schema_name)]
     topic = info_topic_for(image_topic, topics)
@@ -47,13 +47,8 @@ def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) ->
 
     Raw images are described by K and the distortion, rectified ones by P alone. Both refer to the full sensor: a region
     of interest moves the principal point, then binning scales the camera. A binned pixel is the mean of its block, so
-    the principal point also moves by what separates the block's centre from that of its first pixel; ROS's
-    image_geometry leaves that out.
-
-    Args:
-        info: the message.
-        image_size: width and height of the images, px. A calibration for another size with the same aspect is scaled.
-        rectified: whether the images are rectified.
+    the principal point also moves from the centre of its first pixel to the block's; ROS's image_geometry leaves that
+    out. A calibration for another `image_size` (width, height), px, with the same aspect is scaled.
 
     Raises:
         InputError: the camera is uncalibrated (ROS sends zeros then), its model is not supported, a number makes no
@@ -146,15 +141,11 @@ def _as_sent(camera: CameraModel, info: CameraInfo) -> CameraModel:
 
 def _by_name(image: str, topics: Collection[str]) -> str | None:
     """The topic of a namespace that shares most with the image's name: its first words, else "rect" or its absence."""
-    words = image.split("_")
 
     def likeness(topic: str) -> tuple[int, bool, bool]:
         leaf = _parts(topic)[-1]
-        shared = 0
-        for word, other in zip(words, leaf.split("_"), strict=False):
-            if word != other:
-                break
-            shared += 1
+        words = zip(image.split("_"), leaf.split("_"), strict=False)
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], words))
         return shared, is_rectified(leaf) == is_rectified(image), leaf == "camera_info"
 
     best, second = sorted(topics, key=likeness, reverse=True)[:2]

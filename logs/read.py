@@ -25,10 +25,7 @@ _BATCH_ROWS = 16_384
 
 
 def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
-    """The tracks of every frame, as they were written, one frame after the other.
-
-    Its content decides what a file is, not its name. Of a log or a journal that was cut, every frame that can be read
-    is given out, with one warning.
+    """The tracks of every frame, as they were written; of a log or a journal that was cut, with one warning.
 
     Args:
         path: a file of `McapTrackSink` or `ParquetTrackSink`, or the `.parquet.unfinished` journal of the latter.
@@ -49,12 +46,9 @@ def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
 
 
 def read_journal(path: Path, notes: TableNotes) -> Iterator[pa.RecordBatch]:
-    """The batches of a `ParquetTrackSink`'s journal, up to where it was cut; if within a batch, with one warning.
+    """The batches of a `ParquetTrackSink`'s journal, which may still be growing, up to where it was cut.
 
-    It may still be growing. `notes` gathers the notes on a batch's frames before the batch is given out.
-
-    Raises:
-        InputError: a file that is no journal of ours.
+    `notes` gathers the notes on a batch's frames before it is given out. Raises InputError: no journal of ours.
     """
     try:
         with pa.memory_map(str(path)) as file:

@@ -16,7 +16,7 @@ from airline.command import Parser, exit_code
 from airline.errors import InputError
 from logs.files.mcap_file import McapFile
 from logs.files.mcap_records import CHUNK_LIMIT, UNREADABLE
-from logs.sinks.output import check_new, errors_of
+from logs.sinks.output import check_new, errors_of, whole_file
 
 
 def run(options: argparse.Namespace) -> None:
@@ -28,20 +28,15 @@ def run(options: argparse.Namespace) -> None:
 
         return print(f"{path}: finished, {repair_folder(path)} images")
     if journal:
-        from logs.sinks.parquet import finish_journal
+        from logs.sinks.tables import finish_journal
 
         return print(f"{out}: finished, {finish_journal(path, out, options.overwrite)} rows")
-    part = out.with_name(f".{out.name}.part")
     with closing(McapFile(path)) as log, errors_of(out), path.open("rb") as source:
         if not log.topics:
             raise InputError(f"'{path}' has not one readable message, so there is nothing to repair")
         check_new(out, options.overwrite)
-        try:
-            with part.open("wb") as file:
-                count = copy_mcap(log, source, file)
-            part.replace(out)
-        finally:
-            part.unlink(missing_ok=True)
+        with whole_file(out) as file:
+            count = copy_mcap(log, source, file)
     print(f"{out}: {count} messages; lost: {dict(log.lost) or 'nothing'}")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
@@ -18,12 +18,11 @@ from frontend.protocols import Source
 from frontend.sources.opencv import Image
 from frontend.sources.skips import Skips
 from logs.calibration import camera_from_log
+from logs.files import LogFile, LogMessage
 from logs.files.mcap_file import McapFile
-from logs.files.types import LogFile, LogMessage
 from logs.images.decoder import ImageDecoder, decode_still
-from logs.messages.annexb import is_key_frame
-from logs.messages.registry import read_message
-from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket
+from logs.messages.readers import read_message
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket, is_key_frame
 from logs.stamps import StampClock, TimeSource, own_stamp
 from logs.topics import choose_topic, mean_rate_hz, printable
 
@@ -46,14 +45,17 @@ class LogImageSource(Source):
     Args:
         file: the opened log; the source closes it.
         topic: the image topic; may be left out if there is only one.
-        time_source: where stamps come from, see `StampClock`.
+        time_source: where stamps come from, "header", "publish" or "log"; see `StampClock`.
 
     Raises:
         InputError: no such topic; while iterating, when not one message can be decoded.
     """
 
+    name: str
+
     def __init__(self, file: LogFile, topic: str | None = None, *, time_source: TimeSource = "header") -> None:
         self._file = file
+        self.name = file.name
         self._time_source = time_source
         self._skips = Skips(file.name)
         self._start_ns = 0  # since the first frame
@@ -63,10 +65,6 @@ class LogImageSource(Source):
         except InputError:
             self.close()
             raise
-
-    @property
-    def name(self) -> str:
-        return self._file.name
 
     @property
     def frame_count(self) -> int | None:
@@ -83,10 +81,7 @@ class LogImageSource(Source):
         return self._first[1]
 
     def seek(self, start_s: float) -> None:
-        """Begin with the first frame at or after start_s seconds, without reading what comes before an index allows.
-
-        Behind a seek `Frame.index` is the time multiplied by the mean rate: exact for a constant rate.
-        """
+        """As in `Source`, by the log's index; `Frame.index` is then the time multiplied by the mean rate."""
         self._start_ns = round(start_s * 1e9)
 
     def __iter__(self) -> Iterator[Frame]:
@@ -115,32 +110,30 @@ class LogImageSource(Source):
     def _images(self) -> Iterator[tuple[int, int, Image]]:
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
         decoder = ImageDecoder()
-        waiting: deque[tuple[int, int, Future[Image]]] = deque()
+        waiting: deque[tuple[int, Picture, Future[Image] | None]] = deque()
         inside: dict[int, int] = {}  # numbers of the video packets that are still inside the decoder, by stamp
 
         def oldest() -> Iterator[tuple[int, int, Image]]:
-            number, stamp_ns, job = waiting.popleft()
+            number, record, still = waiting.popleft()
+            inside[record.stamp_ns] = number
             try:
-                yield number, stamp_ns, decoder.eight_bits(job.result())
+                found: Sequence[tuple[int, Image]]
+                if still is None:
+                    found = decoder.decode(record)
+                else:
+                    found = [(record.stamp_ns, decoder.eight_bits(still.result()))]
+                for stamp_ns, image in found:
+                    yield inside.pop(stamp_ns, number), stamp_ns, image
             except UndecodableError as error:
+                inside.pop(record.stamp_ns, None)
                 self._skip(number, error)
 
         with ThreadPoolExecutor(_DECODERS) as pool, closing(self._records()) as records:
             for number, record in records:
-                if isinstance(record, EncodedImage):
-                    waiting.append((number, record.stamp_ns, pool.submit(decode_still, record)))
-                    while len(waiting) > _AHEAD:
-                        yield from oldest()
-                    continue
-                while waiting:
+                still = pool.submit(decode_still, record) if isinstance(record, EncodedImage) else None
+                waiting.append((number, record, still))
+                while len(waiting) > (0 if still is None else _AHEAD):
                     yield from oldest()
-                inside[record.stamp_ns] = number
-                try:
-                    for stamp_ns, image in decoder.decode(record):
-                        yield inside.pop(stamp_ns, number), stamp_ns, image
-                except UndecodableError as error:
-                    inside.pop(record.stamp_ns, None)
-                    self._skip(number, error)
             while waiting:
                 yield from oldest()
             for stamp_ns, image in decoder.flush():
@@ -166,7 +159,7 @@ class LogImageSource(Source):
     def _landing(self, clock: StampClock) -> tuple[int | None, int]:
         """The log time to read from for a seek, and the number of the message there.
 
-        That is the last image at or before the start, of a video the last key frame. The log's clock and the stamps'
+        That is the last image, of a video the last key frame, at or before the start. The log's clock and the stamps'
         may run apart and key frames be rare, so look from farther back until there is one.
         """
         first, first_stamp_ns = self._first

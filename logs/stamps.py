@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from typing import Literal
 
-from logs.files.types import LogMessage
+from logs.files import LogMessage
 from logs.messages.types import UndecodableError
 
 log = logging.getLogger(__name__)
@@ -28,8 +28,8 @@ def own_stamp(source: TimeSource, header_ns: int, message: LogMessage) -> int:
     Raises:
         UndecodableError: the log's time is out of range too.
     """
-    wanted = _wanted(source, header_ns, message)
-    return _in_range(message.log_ns if _range_fault(source, wanted) else wanted)
+    wanted, fault = _wanted(source, header_ns, message)
+    return wanted if fault is None else _in_range(message.log_ns)
 
 
 class StampClock:
@@ -56,14 +56,21 @@ class StampClock:
         Raises:
             UndecodableError: it repeats the frame before it, or no clock says that it is later.
         """
-        stamp, log_ns = _wanted(self._source, header_ns, message), message.log_ns
-        fault = self._fault(stamp, log_ns)
-        if fault is not None and self._last is None:
-            stamp = _in_range(log_ns)
-        elif fault is not None and self._last is not None:
-            if log_ns <= self._last[1]:
-                raise UndecodableError("it is not later than the frame before it")
-            stamp = _in_range(self._last[0] + log_ns - self._last[1])
+        (stamp, fault), log_ns = _wanted(self._source, header_ns, message), message.log_ns
+        if self._last is None:
+            stamp = stamp if fault is None else _in_range(log_ns)
+        else:
+            last, last_log_ns = self._last
+            if fault is None and stamp == last:
+                raise UndecodableError("it repeats the time of the frame before it")
+            if fault is None and stamp < last:
+                fault = "run backwards"
+            elif fault is None and stamp - last > _DAY_NS >= log_ns - last_log_ns:
+                fault = "jump by more than a day"
+            if fault is not None:
+                if log_ns <= last_log_ns:
+                    raise UndecodableError("it is not later than the frame before it")
+                stamp = _in_range(last + log_ns - last_log_ns)
         self._last = stamp, log_ns
         if fault is not None:
             self.faults[fault] += 1
@@ -75,26 +82,13 @@ class StampClock:
                 )
         return stamp
 
-    def _fault(self, wanted: int, log_ns: int) -> str | None:
-        fault = _range_fault(self._source, wanted)
-        if fault is not None or self._last is None:
-            return fault
-        stamp, logged = self._last
-        if wanted == stamp:
-            raise UndecodableError("it repeats the time of the frame before it")
-        if wanted < stamp:
-            return "run backwards"
-        return "jump by more than a day" if wanted - stamp > _DAY_NS >= log_ns - logged else None
 
-
-def _wanted(source: TimeSource, header_ns: int, message: LogMessage) -> int:
-    return {"header": header_ns, "publish": message.publish_ns, "log": message.log_ns}[source]
-
-
-def _range_fault(source: TimeSource, wanted: int) -> str | None:
+def _wanted(source: TimeSource, header_ns: int, message: LogMessage) -> tuple[int, str | None]:
+    """The wanted time of a message, and what is wrong with it by itself."""
+    wanted = {"header": header_ns, "publish": message.publish_ns, "log": message.log_ns}[source]
     if wanted == 0 and source != "log":
-        return "are zero"
-    return None if 0 <= wanted < _END_NS else "are out of range"
+        return wanted, "are zero"
+    return wanted, None if 0 <= wanted < _END_NS else "are out of range"
 
 
 def _in_range(stamp_ns: int) -> int:

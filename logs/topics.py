@@ -1,14 +1,20 @@
-"""Topics of a log: which one is meant, and how often it has messages."""
+"""Topics of a log: which one is meant, and what `--list-topics` prints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
 
-from airline.errors import InputError
-from logs.files.types import LogFile, Topic
-from logs.messages.registry import is_image_type, reader_for
+from airline.errors import ConfigError, InputError
+from logs.files import LogFile, Topic, TopicType
+from logs.images.decoder import ImageDecoder
+from logs.messages.readers import is_calibration_type, is_image_type, read_message, reader_for
+from logs.messages.types import CameraInfo, RawImage, UndecodableError
 
-_NAMED = 5  # topics in a message
+_NAMED = 5  # topics in an error
+_TRIED = 300  # messages until one shows its size; a video may start long before a key frame
 
 
 def choose_topic(topics: Mapping[str, Topic], wanted: str | None) -> str:
@@ -19,12 +25,12 @@ def choose_topic(topics: Mapping[str, Topic], wanted: str | None) -> str:
     """
     images = {name: topic for name, topic in topics.items() if is_image_type(topic.type.schema_name)}
     readable = [name for name, topic in images.items() if reader_for(topic.type.schema_name, topic.type.encoding)]
-    if wanted is not None and wanted not in topics:
-        hint = f"its image topics are {_listed(images)}" if images else f"it holds {_listed(topics)}"
-        raise InputError(f"the log has no messages on topic '{printable(wanted)}': {hint}")
     if wanted is not None:
         if wanted in readable:
             return wanted
+        if wanted not in topics:
+            hint = f"its image topics are {_listed(images)}" if images else f"it holds {_listed(topics)}"
+            raise InputError(f"the log has no messages on topic '{printable(wanted)}': {hint}")
         reason = "is not readable" if wanted in images else "is no image"
         raise InputError(f"the log's topic {_listed({wanted: topics[wanted]})} {reason}")
     if not images:
@@ -66,3 +72,57 @@ def _listed(topics: Mapping[str, Topic]) -> str:
     ]
     more = f" and {len(names) - _NAMED} more; --list-topics shows all" if len(names) > _NAMED else ""
     return printable(", ".join(names[:_NAMED]) + more) if names else "no readable messages"
+
+
+@dataclass(frozen=True)
+class TopicRow:
+    """An image or calibration topic.
+
+    Attributes:
+        name, type: as the log has them.
+        count: messages; None where the log does not say.
+        rate_hz: messages per second of the log's clock; None for fewer than two messages.
+        size: width and height, px; None where no message could be read.
+    """
+
+    name: str
+    type: TopicType
+    count: int | None
+    rate_hz: float | None
+    size: tuple[int, int] | None
+
+
+def camera_topics(file: LogFile) -> list[TopicRow]:
+    """Image topics and then calibration topics of a log, each by name."""
+    topics = sorted(file.topics.items())
+    return [
+        TopicRow(name, topic.type, topic.count, mean_rate_hz(file, name), _size(file, name))
+        for wanted in (is_image_type, is_calibration_type)
+        for name, topic in topics
+        if wanted(topic.type.schema_name)
+    ]
+
+
+def as_text(rows: list[TopicRow]) -> str:
+    """The rows as aligned columns with a heading."""
+    cells = [("topic", "type", "messages", "rate", "size")]
+    for row in rows:
+        count = "?" if row.count is None else str(row.count)
+        rate = "?" if row.rate_hz is None else f"{row.rate_hz:.1f} Hz"
+        size = "?" if row.size is None else f"{row.size[0]}x{row.size[1]}"
+        cells.append((printable(row.name), printable(str(row.type)), count, rate, size))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _size(file: LogFile, name: str) -> tuple[int, int] | None:
+    decoder = ImageDecoder()
+    for message in islice(file.messages(name), _TRIED):
+        with suppress(UndecodableError, ConfigError):  # the run itself reports them
+            record = read_message(message)
+            if isinstance(record, (RawImage, CameraInfo)):
+                return record.width, record.height
+            for _, image in decoder.decode(record):
+                return image.shape[1], image.shape[0]
+    return None

@@ -55,7 +55,7 @@ def images_of(path: Path) -> ByStamp[Frame]:
 
 def _images_of(path: Path) -> Iterator[Frame]:
     from logs import open_images
-    from logs.sinks.mcap_tracks import IMAGE_TOPIC
+    from logs.sinks.foxglove import IMAGE_TOPIC
 
     if path.suffix.lower() != ".mcap":
         return

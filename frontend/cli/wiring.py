@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
     from frontend.protocols import Sink, Source
     from frontend.tracks import LineTracks
-    from logs.live.foxglove import FoxgloveServer
-    from logs.live.zeromq import ZmqPublisher
+    from logs.sinks.foxglove import FoxgloveServer
+    from logs.sinks.zeromq import ZmqPublisher
     from viz.viewer import WebViewer
 
 log = logging.getLogger(__name__)
@@ -74,8 +74,7 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
 def list_topics(spec: str | None) -> str:
     """The cameras of a log, as a table; raises InputError where there is none."""
     from logs.files import open_log
-    from logs.listing import as_text, camera_topics
-    from logs.topics import choose_topic
+    from logs.topics import as_text, camera_topics, choose_topic
 
     if spec is None:
         raise InputError("--list-topics needs a log: name an .mcap file, a .bag file or a bag folder")

@@ -1,26 +1,76 @@
-"""Log files by their kind."""
+"""What a log file offers, whatever its format, and which format a file has."""
 
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from airline.errors import InputError
-
-if TYPE_CHECKING:
-    from logs.files.types import LogFile
+from logs.messages.types import Bytes
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """What every MCAP file begins with."""
 
 
-def open_log(path: str | os.PathLike[str]) -> LogFile:
-    """Open a log of any kind: MCAP, ROS 1 bag, ROS 2 bag folder or database. Its content decides, not its name.
+@dataclass(frozen=True)
+class TopicType:
+    """The type of a topic's messages, such as "sensor_msgs/msg/Image" in "cdr"; empty where the log does not say."""
 
-    Raises:
-        InputError: it cannot be read, or is no log.
+    schema_name: str
+    encoding: str
+
+    def __str__(self) -> str:
+        return f"{self.schema_name or 'no schema'} as {self.encoding or 'unknown encoding'}"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that has messages; `count` is None where the log does not say how many."""
+
+    type: TopicType
+    count: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """One message: `log_ns` and `publish_ns` are when it was recorded and sent, ns."""
+
+    topic: str
+    type: TopicType
+    log_ns: int
+    publish_ns: int
+    data: Bytes
+
+
+class LogFile:
+    """An opened log. Reading never stops at damage: what can be read is read.
+
+    Attributes:
+        name: short, for file names and warnings.
+        topics: those with messages, by name.
+        span_ns: first and last log time of all messages, ns; None if there are none.
+        lost: what could not be read so far: how many times, by reason.
     """
+
+    name: str
+    topics: Mapping[str, Topic]
+    span_ns: tuple[int, int] | None
+    lost: Counter[str]
+
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
+        """Messages of one of `topics` by log time; those logged before `start_ns` are left out and not read."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Release the file; safe to call twice."""
+        raise NotImplementedError
+
+
+def open_log(path: str | os.PathLike[str]) -> LogFile:
+    """Open a log of any kind; its content decides, not its name. Raises InputError: it cannot be read, or is no log."""
     log = Path(path)
     try:
         start = b""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
@@ -14,61 +14,44 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 
 from airline.errors import InputError
-from logs.files.types import LogMessage, Topic, TopicType
+from logs.files import LogFile, LogMessage, Topic, TopicType
 
 Reader = rosbag1.Reader | rosbag2.Reader
 
 
-class BagFile:
-    """A ROS 1 `.bag`, a ROS 2 bag folder, or a `.db3` file out of one; see `LogFile`.
+class BagFile(LogFile):
+    """A ROS 1 `.bag`, a ROS 2 bag folder, or a `.db3` file out of one.
 
     The files of a folder without `metadata.yaml`, which a killed recorder leaves behind, are read one after the other.
     A message's publishing time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
-
-    Args:
-        path: file or folder.
 
     Raises:
         InputError: it cannot be read, or is no bag.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._path = Path(path)
-        self._lost: Counter[str] = Counter()
+        path = Path(path)
+        self.lost = Counter()
         self._readers: list[Reader] = []
         with ExitStack() as opened:
             try:
-                for reader in _readers(self._path):
+                for reader in _readers(path):
                     opened.enter_context(reader)
                     self._readers.append(reader)
             except Exception as error:  # damage makes rosbags raise errors of many kinds
                 raise InputError(
-                    f"cannot read the bag '{self._path}' ({error}): if its recording was interrupted, reindex it"
+                    f"cannot read the bag '{path}' ({error}): if its recording was interrupted, reindex it"
                 ) from error
             self._opened = opened.pop_all()
         counts: Counter[str] = Counter()
         types: dict[str, TopicType] = {}
         for connection in chain.from_iterable(reader.connections for reader in self._readers):
             counts[connection.topic] += connection.msgcount
-            types[connection.topic] = self._type(connection)
-        self._topics = {name: Topic(types[name], count) for name, count in counts.items() if count}
-
-    @property
-    def name(self) -> str:
-        return self._path.stem if self._path.is_file() else self._path.resolve().name
-
-    @property
-    def topics(self) -> Mapping[str, Topic]:
-        return self._topics
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
+            types[connection.topic] = _type(connection)
+        self.topics = {name: Topic(types[name], count) for name, count in counts.items() if count}
+        self.name = path.stem if path.is_file() else path.resolve().name
         spans = [(reader.start_time, reader.end_time - 1) for reader in self._readers if reader.message_count]
-        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
-
-    @property
-    def lost(self) -> Mapping[str, int]:
-        return dict(self._lost)
+        self.span_ns = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
         return chain.from_iterable(self._read(reader, topic, start_ns) for reader in self._readers)
@@ -83,13 +66,13 @@ class BagFile:
             return
         try:
             for connection, log_ns, data in reader.messages(wanted, start=start_ns):
-                yield LogMessage(topic, self._type(connection), log_ns, log_ns, data)
+                yield LogMessage(topic, _type(connection), log_ns, log_ns, data)
         except Exception as error:
-            self._lost[f"everything behind a damaged place of the bag ({error})"[:200]] += 1
+            self.lost[f"everything behind a damaged place of the bag ({error})"[:200]] += 1
 
-    def _type(self, connection: Connection) -> TopicType:
-        ros1 = isinstance(connection.owner, rosbag1.Reader)
-        return TopicType(connection.msgtype, "ros1" if ros1 else "cdr")
+
+def _type(connection: Connection) -> TopicType:
+    return TopicType(connection.msgtype, "ros1" if isinstance(connection.owner, rosbag1.Reader) else "cdr")
 
 
 def _readers(path: Path) -> Iterator[Reader]:

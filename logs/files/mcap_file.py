@@ -15,9 +15,8 @@ from mcap.records import Channel, ChunkIndex, McapRecord, Message, Schema, Stati
 from mcap.summary import Summary
 
 from airline.errors import InputError
-from logs.files import MCAP_MAGIC
+from logs.files import MCAP_MAGIC, LogFile, LogMessage, Topic, TopicType
 from logs.files.mcap_records import DamageError, RecordFile, define
-from logs.files.types import LogMessage, Topic, TopicType
 
 log = logging.getLogger(__name__)
 
@@ -30,8 +29,8 @@ _LOOSE_SIZE = 1 << 20
 _DAMAGED = "the log is cut or damaged; its readable part is used"
 
 
-class McapFile:
-    """An MCAP log; see `LogFile`.
+class McapFile(LogFile):
+    """An MCAP log.
 
     Opening reads the summary at the end of the file. Where there is none, or it contradicts itself, the file is read
     through once, up to damage that hides where the next record begins. A damaged chunk costs its messages: `lost`
@@ -44,45 +43,22 @@ class McapFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         self._file = RecordFile(self._path)
-        self._lost: Counter[str] = Counter()
+        self.name = self._path.stem
+        self.lost = Counter()
         self._damaged: set[int] = set()  # places whose loss is counted
         self._warned: set[str] = set()
         summary = self._file.summary()
         self._summary = summary if summary is not None and _is_sound(summary) else self._scan()
-        self._topics = _topics(self._summary)
-
-    @property
-    def name(self) -> str:
-        return self._path.stem
-
-    @property
-    def topics(self) -> Mapping[str, Topic]:
-        return self._topics
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
-        times = [
-            (chunk.message_start_time, chunk.message_end_time)
-            for chunk in self._summary.chunk_indexes
-            if chunk.message_index_offsets or chunk.message_end_time
+        self.topics = _topics(self._summary)
+        chunks = [
+            chunk for chunk in self._summary.chunk_indexes if chunk.message_index_offsets or chunk.message_end_time
         ]
-        return (min(start for start, _ in times), max(end for _, end in times)) if times else None
-
-    @property
-    def lost(self) -> Mapping[str, int]:
-        return dict(self._lost)
+        starts, ends = [c.message_start_time for c in chunks], [c.message_end_time for c in chunks]
+        self.span_ns = (min(starts), max(ends)) if chunks else None
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
-        """Messages of one topic by log time, those of equal times in the order of the file.
-
-        Args:
-            topic: one of `topics`.
-            start_ns: leave out messages logged earlier; chunks that hold nothing else are not read.
-
-        Raises:
-            InputError: no such topic.
-        """
-        if topic not in self._topics:
+        """As in `LogFile`, those of equal times in the order of the file; raises InputError: no such topic."""
+        if topic not in self.topics:
             raise InputError(f"the log '{self._path}' has no messages on topic '{topic}'")
         return self._by_time(topic, start_ns or 0)
 
@@ -179,7 +155,7 @@ class McapFile:
                 counts[record.channel_id] += 1
                 times.append(record.log_time)
             elif isinstance(record, Message):
-                self._lost["messages of unknown channels"] += 1
+                self.lost["messages of unknown channels"] += 1
         if times:
             chunk.message_start_time, chunk.message_end_time = min(times), max(times)
             chunk.message_index_offsets = dict.fromkeys(counts, 0)
@@ -190,7 +166,7 @@ class McapFile:
         self._warn(_DAMAGED)
         if place not in self._damaged:
             self._damaged.add(place)
-            self._lost[reason] += 1
+            self.lost[reason] += 1
 
     def _warn(self, what: str) -> None:
         if what not in self._warned:

@@ -28,11 +28,10 @@ _PNG_GREY = {0, 4}
 
 
 def decode_encoded(data: Bytes) -> Image:
-    """The image in a file; from any thread.
+    """The image in a file, from any thread: not turned by its EXIF orientation.
 
     Returns:
-        (H, W) or (H, W, 3) BGR, uint8 or uint16 as in the file, without alpha, not turned by its EXIF orientation,
-        C-contiguous.
+        (H, W) or (H, W, 3) BGR, uint8 or uint16 as in the file, without alpha, C-contiguous.
 
     Raises:
         UndecodableError: no JPEG, PNG or WebP file; a cut, damaged, animated or too large one.
@@ -94,11 +93,10 @@ def _jpeg(data: Bytes) -> None:
 
 
 def _fills_its_image(data: Bytes) -> bool:
-    """Whether FFmpeg, too, finds pixels for the whole JPEG.
+    """Whether FFmpeg, too, finds pixels for the whole JPEG; without FFmpeg it counts as whole.
 
     Where a file was cut and then ended properly, OpenCV leaves the rest of the image at a grey of 128 without an error.
-    FFmpeg takes twice the time and so is only asked about images that end in this grey; without it, such an image
-    counts as whole.
+    FFmpeg takes twice the time and so is only asked about images that end in this grey.
     """
     try:
         import av

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import from_extra
-from logs.messages.annexb import is_key_frame
-from logs.messages.types import UndecodableError, VideoPacket
+from logs.messages.types import UndecodableError, VideoPacket, is_key_frame
 
 with from_extra("video"):
     import av
@@ -32,10 +31,9 @@ class _CorruptPictureError(Exception):
 class VideoDecoder:
     """Decodes the packets of one stream in order.
 
-    An image comes out with its own packet's stamp, at once where the stream has no B-frames. After damage nothing is
-    decoded up to the next key frame, as every picture until then would be predicted from a wrong one. FFmpeg notices
-    cut and nearly all damaged H.264 pictures and missing H.265 ones, but few damaged H.265 pictures and no missing
-    H.264 ones.
+    An image has its own packet's stamp, and comes at once where the stream has no B-frames. After damage nothing is
+    decoded up to the next key frame: every picture until then would be predicted from a wrong one. FFmpeg notices cut
+    and nearly all damaged H.264 pictures and missing H.265 ones, but few damaged H.265 and no missing H.264 ones.
 
     Raises:
         ConfigError: PyAV is not installed.
@@ -52,8 +50,7 @@ class VideoDecoder:
         """Decode one packet, which holds one picture.
 
         Returns:
-            (stamp in ns, (H, W, 3) BGR image) of this packet or, in a stream with B-frames, of earlier ones, in the
-            order of display; maybe none.
+            (stamp in ns, (H, W, 3) BGR image) of this packet, or of earlier ones in a stream with B-frames, or none.
 
         Raises:
             UndecodableError: no picture comes of this packet; the next may be fed all the same.

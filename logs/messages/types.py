@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from airline.errors import InputError
@@ -10,11 +11,7 @@ Bytes = bytes | memoryview
 
 
 class UndecodableError(InputError):
-    """A message that cannot be used.
-
-    Attributes:
-        reason: what is wrong, the same words for every message with the same fault, so that they can be counted.
-    """
+    """A message that cannot be used; `reason` has the same words for the same fault, so that they can be counted."""
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(f"{reason}: {detail}" if detail else reason)
@@ -28,8 +25,7 @@ class RawImage:
     Attributes:
         stamp_ns: the message's own stamp, ns, as it is: it may be zero or nonsense.
         frame_id: name of the camera's coordinate frame.
-        width: px, as claimed.
-        height: the same.
+        width, height: px, as claimed.
         encoding: ROS name such as "bgr8" or "bayer_rggb8".
         step: bytes from one row to the next.
         big_endian: byte order of 16-bit pixels.
@@ -70,8 +66,7 @@ class CameraInfo:
     """A camera calibration as messages carry it (sensor_msgs/CameraInfo, foxglove.CameraCalibration).
 
     Attributes:
-        width: px, of the images the calibration was made with.
-        height: the same.
+        width, height: px, of the images the calibration was made with.
         distortion_model: name such as "plumb_bob"; may be empty.
         d: distortion coefficients.
         k: row-major 3x3 intrinsics.
@@ -101,3 +96,39 @@ def stamp_ns(seconds: int, nanoseconds: int) -> int:
     """The time in ns; 0, which means that there is none, where it does not fit into 64 bits."""
     stamp = seconds * 10**9 + nanoseconds
     return stamp if abs(stamp) < 2**63 else 0
+
+
+def video_format(declared: str) -> str | None:
+    """ "h264" or "h265" if the text names one of them, as in "h264", "video/hevc" or "H.265"."""
+    name = declared.lower().replace(".", "")
+    if re.search(r"h264|avc", name):
+        return "h264"
+    return "h265" if re.search(r"h265|hevc", name) else None
+
+
+def sniffed_video_format(data: Bytes) -> str | None:
+    """ "h264" or "h265" if the bytes begin with a start code, told apart by the first unit's header."""
+    head = bytes(data[:6])
+    start = head.find(b"\x00\x00\x01")
+    if start not in (0, 1) or head[:start].strip(b"\x00") or len(head) < start + 5:
+        return None
+    first, second = head[start + 3], head[start + 4]
+    # In H.265 with one spatial layer the first header byte is even, and the second is 1 to 7 (the temporal layer). In
+    # H.264, even first bytes begin SEI (6), whose second byte is small as well, and PPS, whose second byte is large.
+    return "h265" if first & 0x81 == 0 and first != 6 and 1 <= second <= 7 else "h264"
+
+
+def is_key_frame(packet: VideoPacket) -> bool:
+    """Whether decoding can begin with this packet: before its first picture, it has a key picture or parameter sets.
+
+    H.264: IDR (5) or sequence parameter set (7). H.265: random access pictures (16 to 21), video or sequence parameter
+    set (32, 33). ITU-T H.264 and H.265, table 7-1 of each and Annex B.
+    """
+    h264 = packet.format == "h264"
+    for unit in re.finditer(b"\0\0\1(?=(.))", packet.data, re.DOTALL):
+        kind = unit[1][0] & 31 if h264 else unit[1][0] >> 1 & 63
+        if kind in ((5, 7) if h264 else (*range(16, 22), 32, 33)):
+            return True
+        if 1 <= kind < 5 if h264 else kind < 16:
+            return False
+    return False

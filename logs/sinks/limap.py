@@ -22,14 +22,18 @@ from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.output import OutputFile, errors_of, whole_file
+from logs.sinks.output import OutputFile, check_folder, errors_of, whole_file
 
-SEGMENTS = Path("line_detections/lsd/segments")
-MATCHES = Path("line_matchings/lsd/feats_lbd")
-IMAGES = Path("images.csv")
-CAMERAS = Path("cameras.txt")
-NEIGHBOURS = Path("metainfos.txt")
+MATCHES = "line_matchings/lsd/feats_lbd"
+IMAGES, CAMERAS, NEIGHBOURS = "images.csv", "cameras.txt", "metainfos.txt"
 
+_FILES = (
+    IMAGES,
+    CAMERAS,
+    NEIGHBOURS,
+    "line_detections/lsd/segments/segments_*.txt",
+    f"{MATCHES}/lbd_n*_top0/matches_*.npy",
+)
 _CORNER = 0.5
 _LARGEST_ID = 2**31 - 1
 
@@ -41,7 +45,7 @@ class LimapTrackSink:
     |---|---|
     | line_detections/lsd/segments/segments_ID.txt | number of lines, then x0 y0 x1 y1 of each |
     | line_matchings/lsd/feats_lbd/lbd_nN_top0/matches_ID.npy | for each neighbour its (K, 2) pairs of rows |
-    | metainfos.txt | neighbours of each image, for `--load_meta`; written by `close` |
+    | metainfos.txt | neighbours of each image, for `--load_meta`; written by `close` or `python -m logs.repair` |
     | cameras.txt | the camera of the lines, COLMAP's text format; where known |
     | images.csv | image id and stamp of every image whose files are complete |
 
@@ -50,9 +54,6 @@ class LimapTrackSink:
     pinhole camera of the same focal lengths and principal point, and moved by half a pixel: leave LIMAP's
     `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
     no undistortion reaches are left out.
-
-    After a crash the folder lacks `metainfos.txt` (`python -m logs.repair FOLDER` writes it) and, of the last images,
-    the matches with what came after.
 
     Args:
         folder: made if it does not exist.
@@ -68,25 +69,20 @@ class LimapTrackSink:
             raise ConfigError(f"{neighbours} neighbours: give an even number, as many before as after each image")
         self._folder = Path(folder)
         check_folder(self._folder, overwrite)
+        self._segments = self._folder / "line_detections/lsd/segments"
         self._matches = self._folder / MATCHES / f"lbd_n{neighbours}_top0"
         with errors_of(self._folder):
-            for old in (
-                IMAGES,
-                CAMERAS,
-                NEIGHBOURS,
-                SEGMENTS / "segments_*.txt",
-                MATCHES / "lbd_n*_top0/matches_*.npy",
-            ):
-                for path in self._folder.glob(str(old)):  # LIMAP would take them for images of this run
+            for old in _FILES:
+                for path in self._folder.glob(old):  # LIMAP would take them for images of this run
                     path.unlink()
-            for made in (self._folder / SEGMENTS, self._matches):
+            for made in (self._segments, self._matches):
                 made.mkdir(parents=True, exist_ok=True)
         self._neighbours = neighbours
         self._images = OutputFile(self._folder / IMAGES, overwrite=True)
         with self._images.writing() as file:
             file.write(b"image_id,stamp_ns\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
-        self._camera: str | None = None
+        self._camera = ""
         self._last = -1
 
     def write(self, result: FrameResult) -> None:
@@ -99,11 +95,11 @@ class LimapTrackSink:
         with self._images.writing() as file, errors_of(self._folder):
             if tracks.camera is not None:
                 self._write_camera(tracks.camera)
-            segments, ids = lines_for_limap(tracks)
+            segments, ids = _lines(tracks)
             self._match(image, ids)
             text = f"{len(segments)}\n" + "%.4f %.4f %.4f %.4f\n" * len(segments) % tuple(segments.ravel().tolist())
-            names = self._folder / SEGMENTS  # LIMAP takes every file in there for segments
-            with whole_file(names / f"segments_{image}.txt", names.with_suffix(".tmp")) as lines:
+            part = self._segments.with_suffix(".tmp")  # LIMAP takes every file in the folder for segments
+            with whole_file(self._segments / f"segments_{image}.txt", part) as lines:
                 lines.write(text.encode("ascii"))
             file.write(b"%d,%d\n" % (image, tracks.stamp_ns))
             file.flush()
@@ -115,7 +111,6 @@ class LimapTrackSink:
             with errors_of(self._folder):
                 for image, _, matches in self._window:
                     self._write_matches(image, matches)
-            self._window.clear()
             finish_folder(self._folder, self._neighbours)
 
     def _match(self, image: int, ids: NDArray[np.int64]) -> None:
@@ -141,14 +136,14 @@ class LimapTrackSink:
     def _write_camera(self, camera: CameraModel) -> None:
         numbers = map(float, (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER))
         text = f"1 PINHOLE {camera.width} {camera.height} {' '.join(map(repr, numbers))}\n"
-        if self._camera is None:
+        if not self._camera:
             (self._folder / CAMERAS).write_text(text, encoding="ascii")
         elif text != self._camera:
             raise InputError(f"cannot write '{self._folder}': the camera changes, and LIMAP's files know only one")
         self._camera = text
 
 
-def lines_for_limap(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _lines(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """(K, 4) px without distortion, with (0, 0) at the corner of the top-left pixel, and the (K,) ids."""
     camera, segments = tracks.camera, tracks.segments_px.astype(np.float64)
     if camera is not None and camera.distortion != "none":
@@ -157,17 +152,8 @@ def lines_for_limap(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np
     return (segments[found] + _CORNER).reshape(-1, 4), tracks.ids[found]
 
 
-def check_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse, before any work, a folder that holds files or cannot be made; raises InputError."""
-    if folder.is_dir():
-        if any(folder.iterdir()) and not overwrite:
-            raise InputError(f"'{folder}' holds files: choose an empty folder or give --overwrite")
-    elif folder.exists() or not os.path.isdir(folder.parent):  # noqa: PTH112
-        raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
-
-
 def finish_folder(folder: Path, neighbours: int) -> int:
-    """Write the table of neighbours of the images in `images.csv`, without limits on the extent of the scene."""
+    """Write the table of neighbours of the images in `images.csv`, without limits on the scene; returns how many."""
     with errors_of(folder / NEIGHBOURS):
         rows = (folder / IMAGES).read_text(encoding="ascii").splitlines()[1:]
         images = [row.split(",")[0] for row in rows]
@@ -180,7 +166,7 @@ def finish_folder(folder: Path, neighbours: int) -> int:
 
 
 def repair_folder(folder: Path) -> int:
-    """Finish the folder of a run that never ended; returns how many images it has. Raises InputError."""
+    """Finish the folder of a run that never ended; returns how many images it has, raises InputError."""
     names = sorted(path.name for path in (folder / MATCHES).glob("lbd_n*_top0"))
     count = names[0].removeprefix("lbd_n").removesuffix("_top0") if names else ""
     if not count.isdecimal() or not (folder / IMAGES).is_file():

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
-from airline.errors import InputError
-from logs.live.address import parse_address
-from logs.sinks.output import check_new
+from airline.errors import ConfigError, InputError
+from logs.sinks.output import check_folder, check_new, check_table
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
-    from logs.live.foxglove import FoxgloveServer
-    from logs.live.zeromq import ZmqPublisher
+    from logs.sinks.foxglove import FoxgloveServer
+    from logs.sinks.zeromq import ZmqPublisher
 
-KINDS = {  # what to give, and the module and class that write it
-    "mcap": ("NAME.mcap (for Foxglove)", "logs.sinks.mcap_tracks", "McapTrackSink"),
-    "parquet": ("NAME.parquet", "logs.sinks.parquet", "ParquetTrackSink"),
-    "csv": ("NAME.csv", "logs.sinks.csv", "CsvTrackSink"),
-    "plvins": ("plvins.mcap or plvins:NAME.mcap (for PL-VINS)", "logs.sinks.plvins", "PlVinsTrackSink"),
-    "limap": ("limap/ or limap:FOLDER (for LIMAP)", "logs.sinks.limap", "LimapTrackSink"),
+KINDS = {  # what to give, the module and class that write it, and what refuses a place
+    "mcap": ("NAME.mcap (for Foxglove)", "foxglove", "McapTrackSink", check_new),
+    "parquet": ("NAME.parquet", "tables", "ParquetTrackSink", check_table),
+    "csv": ("NAME.csv", "tables", "CsvTrackSink", check_new),
+    "plvins": ("plvins.mcap or plvins:NAME.mcap (for PL-VINS)", "plvins", "PlVinsTrackSink", check_new),
+    "limap": ("limap/ or limap:FOLDER (for LIMAP)", "limap", "LimapTrackSink", check_folder),
 }
 
 
@@ -52,40 +54,75 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
 def check(spec: str, overwrite: bool = False) -> None:
     """Refuse, before any work, an output that exists or that cannot be made; raises InputError."""
     kind, path = kind_and_path(spec)
-    if kind == "limap":
-        from logs.sinks.limap import check_folder
-
-        check_folder(path, overwrite)
-    elif kind == "parquet":
-        from logs.sinks.parquet import check_table
-
-        check_table(path, overwrite)
-    else:
-        check_new(path, overwrite)
+    *_, refuse = KINDS[kind]
+    refuse(path, overwrite)
 
 
 def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
-    """Open an output for tracked lines.
+    """Open an output for tracked lines; raises InputError where `check` does.
 
     Args:
         spec: see `kind_and_path`.
-        overwrite: replace what is there, which is an InputError otherwise.
+        overwrite: replace what is there.
         with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
     """
     kind, path = kind_and_path(spec)
-    _, module, sink = KINDS[kind]
+    _, module, sink, _ = KINDS[kind]
     options = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
-    opened: Sink = getattr(import_module(module), sink)(path, overwrite=overwrite, **options)
+    opened: Sink = getattr(import_module(f"logs.sinks.{module}"), sink)(path, overwrite=overwrite, **options)
     return opened
 
 
-def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
-    """Bind an address for tracked lines.
+@dataclass(frozen=True)
+class Address:
+    """Where something listens.
 
-    Args:
-        address: see `parse_address`.
-        name: of the input.
-        labels: write ids beside the lines, where a viewer is served.
+    Attributes:
+        scheme: "tcp" or "ipc" for ZeroMQ, "ws" for Foxglove.
+        host: the machine's name or number, "*" for all of its networks; empty for "ipc".
+        port: 0 for any that is free.
+        path: of the socket's file, for "ipc".
+    """
+
+    scheme: str
+    host: str = ""
+    port: int = 0
+    path: str = ""
+
+    def __str__(self) -> str:
+        if self.scheme == "ipc":
+            return f"ipc://{self.path}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
+
+def parse_address(text: str) -> Address:
+    """The address of a line stream: `tcp://[HOST]:PORT`, `ws://[HOST]:PORT` or `ipc://PATH`; this machine by default.
+
+    Raises:
+        ConfigError: a text that is no such address.
+    """
+    scheme, separator, rest = text.partition("://")
+    if separator and scheme == "ipc" and rest and rest.isprintable():
+        return Address(scheme, path=rest)
+    if separator and scheme in ("tcp", "ws"):
+        with suppress(ValueError):  # a port that is none
+            parts = urlsplit(text)
+            if parts.port is not None and "@" not in parts.netloc and not (parts.path or parts.query or parts.fragment):
+                return Address(scheme, parts.hostname or "127.0.0.1", parts.port)
+    raise ConfigError(
+        f"'{text}' is no address of a line stream: give tcp://127.0.0.1:5555, ipc:///tmp/lines (ZeroMQ) or "
+        "ws://127.0.0.1:8765 (Foxglove)"
+    )
+
+
+def cannot_publish(address: Address, reason: str) -> InputError:
+    """The error for an address that cannot be bound."""
+    return InputError(f"cannot publish at {address} ({reason}): choose another address")
+
+
+def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
+    """Bind an address, see `parse_address`, for tracked lines; viewers also get ids as labels.
 
     Raises:
         ConfigError: no address, or the extra that serves it is not installed.
@@ -93,9 +130,9 @@ def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPubli
     """
     parsed = parse_address(address)
     if parsed.scheme == "ws":
-        from logs.live.foxglove import FoxgloveServer
+        from logs.sinks.foxglove import FoxgloveServer
 
         return FoxgloveServer(parsed, name, labels=labels)
-    from logs.live.zeromq import ZmqPublisher
+    from logs.sinks.zeromq import ZmqPublisher
 
     return ZmqPublisher(parsed, name)

@@ -35,6 +35,31 @@ def check_new(path: Path, overwrite: bool) -> None:
         raise InputError(f"'{path}' exists: choose another name or give --overwrite")
 
 
+def journal_of(path: Path) -> Path:
+    """Where the journal of a Parquet file lies."""
+    return path.with_name(path.name + ".unfinished")
+
+
+def check_table(path: Path, overwrite: bool) -> None:
+    """The same for a Parquet file, and the journal of one."""
+    check_new(path, overwrite)
+    journal = journal_of(path)
+    if journal.exists() and not overwrite:
+        raise InputError(
+            f"'{journal}' is left from a run that did not end: make '{path.name}' of it with "
+            f"python -m logs.repair {journal}, or give --overwrite"
+        )
+
+
+def check_folder(folder: Path, overwrite: bool) -> None:
+    """The same for a folder, which may be there if it is empty."""
+    if folder.is_dir():
+        if any(folder.iterdir()) and not overwrite:
+            raise InputError(f"'{folder}' holds files: choose an empty folder or give --overwrite")
+    elif folder.exists() or not os.path.isdir(folder.parent):  # noqa: PTH112
+        raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
+
+
 @contextmanager
 def whole_file(path: Path, part: Path | None = None) -> Iterator[BinaryIO]:
     """A file that appears, or replaces another, when the block ends well; until then it is `part`, hidden beside it."""

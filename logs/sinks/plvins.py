@@ -67,11 +67,10 @@ class PlVinsLines:
 class PlVinsTrackSink:
     """Writes each frame's lines as a `sensor_msgs/PointCloud` of ROS 1; a `Sink`.
 
-    A message has the frame's stamp and, line by line, the start in `points` (undistorted, on the plane z = 1) and in
-    `channels` the line's number, and u and v of its end, also undistorted on that plane. `PlVinsLines` chooses the
-    lines. Every frame has a message, even if it is empty: PL-VINS pairs them with those of its point tracker by their
-    order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration above the rate of the
-    frames.
+    A message has the frame's stamp and, for each of the `PlVinsLines`, the start in `points` and in `channels` the
+    number, and u and v of the end. Every frame has a message, even if it is empty: PL-VINS pairs them with those of its
+    point tracker by their order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration
+    above the rate of the frames.
 
     Arguments and errors are those of `OutputFile`; a frame without a camera is a ConfigError.
     """
@@ -91,27 +90,21 @@ class PlVinsTrackSink:
         numbers, segments = self._lines.of_frame(tracks)
         if not 0 <= tracks.stamp_ns < 2**32 * SECOND_NS:
             raise InputError(f"ROS 1 has no time {tracks.stamp_ns} ns: it counts from 1970 to 2106")
-        self._output.write(self._channel, tracks.stamp_ns, self._message(tracks, segments, numbers))
+        types = self._store.types
+        seconds, nanoseconds = divmod(tracks.stamp_ns, SECOND_NS)
+        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+        point, channel = types["geometry_msgs/msg/Point32"], types["sensor_msgs/msg/ChannelFloat32"]
+        u, v = np.ascontiguousarray(segments[:, 1].T)
+        named = {"id_of_line": numbers, "u_of_endpoint": u, "v_of_endpoint": v}
+        message = types[_TYPE](
+            header=types["std_msgs/msg/Header"](seq=self._frames % 2**32, stamp=stamp, frame_id=_FRAME_ID),
+            points=[point(x=x, y=y, z=1.0) for x, y in segments[:, 0].tolist()],
+            channels=[channel(name=name, values=values) for name, values in named.items()],
+        )
+        self._output.write(self._channel, tracks.stamp_ns, bytes(self._store.serialize_ros1(message, _TYPE)))
         self._output.flush_when_due()
         self._frames += 1
 
     def close(self) -> None:
         """Write the file's index; safe to call twice."""
         self._output.close()
-
-    def _message(self, tracks: LineTracks, segments: NDArray[np.float32], numbers: NDArray[np.float32]) -> bytes:
-        types = self._store.types
-        seconds, nanoseconds = divmod(tracks.stamp_ns, SECOND_NS)
-        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-        point, channel = types["geometry_msgs/msg/Point32"], types["sensor_msgs/msg/ChannelFloat32"]
-        ends = np.ascontiguousarray(segments[:, 1].T)
-        message = types[_TYPE](
-            header=types["std_msgs/msg/Header"](seq=self._frames % 2**32, stamp=stamp, frame_id=_FRAME_ID),
-            points=[point(x=x, y=y, z=1.0) for x, y in segments[:, 0].tolist()],
-            channels=[
-                channel(name="id_of_line", values=numbers),
-                channel(name="u_of_endpoint", values=ends[0]),
-                channel(name="v_of_endpoint", values=ends[1]),
-            ],
-        )
-        return bytes(self._store.serialize_ros1(message, _TYPE))

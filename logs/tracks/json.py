@@ -66,7 +66,7 @@ class Camera(msgspec.Struct):
 def assembled(
     frame_index: int, stamp_ns: int, arrays: Mapping[str, NDArray[Any]], camera: CameraModel | None, reset: str | None
 ) -> LineTracks:
-    """The tracks of these parts; arrays have the dtype and rows of their fields, and later fields may be missing.
+    """The tracks of these parts: arrays with the dtype and rows of their fields, of which later ones may be missing.
 
     Raises:
         ValueError: an array is missing, or they do not fit each other.
@@ -101,11 +101,7 @@ def encode_tracks(tracks: LineTracks) -> bytes:
 
 
 def decode_tracks(text: bytes | memoryview) -> LineTracks:
-    """The inverse of `encode_tracks`.
-
-    Raises:
-        InputError: text that is no such object, or whose arrays do not fit each other.
-    """
+    """The inverse of `encode_tracks`; raises InputError: no such object, or its arrays do not fit each other."""
     try:
         found: Any = _decoder.decode(text)
         arrays = {field.name: _array(field, found) for field in FIELDS if getattr(found, field.name) is not None}

@@ -167,7 +167,7 @@ def read_frames(batches: Iterable[pa.RecordBatch], notes: TableNotes) -> Iterato
 
     Args:
         batches: the table's rows in order, cut anywhere, with the `needed_columns`.
-        notes: what the table cannot hold; those on a frame must be there before its rows are.
+        notes: on a frame they must be there before its rows are.
 
     Raises:
         InputError: rows or notes that this program did not write.

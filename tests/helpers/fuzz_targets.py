@@ -18,13 +18,12 @@ from frontend.sources.opencv import decode_image
 from logs import read_tracks
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still
-from logs.live.message import decode
-from logs.messages.registry import reader_for
+from logs.messages.readers import reader_for
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
-from logs.sinks.csv import CsvTrackSink
-from logs.sinks.mcap_tracks import McapTrackSink
-from logs.sinks.parquet import ParquetTrackSink
+from logs.sinks.foxglove import McapTrackSink
+from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
 from logs.tracks.json import decode_tracks, encode_tracks
+from logs.tracks.message import decode
 from tests.frontend import test_calibration as calibrations
 from tests.helpers.made_tracks import made_tracks, result_of
 from tests.helpers.mcap_logs import messages, write

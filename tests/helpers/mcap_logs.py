@@ -14,8 +14,7 @@ from mcap.records import Chunk, Footer, McapRecord
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from logs.files import MCAP_MAGIC
-from logs.files.types import LogFile
+from logs.files import MCAP_MAGIC, LogFile
 
 CHANNELS = {  # topic, encoding, schema by channel id
     1: ("/camera", "cdr", "sensor_msgs/msg/Image"),

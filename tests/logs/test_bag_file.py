@@ -15,9 +15,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
 from airline.errors import AirLineError, InputError
-from logs.files import is_log, open_log
+from logs.files import LogFile, is_log, open_log
 from logs.files.bag_file import BagFile
-from logs.files.types import LogFile
 
 START = 1_403_636_579_763_555_584
 STEP = 50_000_000

@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from logs.live.foxglove import FoxgloveServer
-from logs.sinks.mcap_tracks import TOPICS, message_for
+from logs.sinks.foxglove import TOPICS, FoxgloveServer, message_for
 from logs.sinks.open import open_publisher
 from logs.tracks.json import decode_tracks
 from tests.helpers.foxglove_client import FoxgloveClient

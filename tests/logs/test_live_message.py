@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from airline.errors import InputError
 from frontend.tracks import LineTracks
-from logs.live.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
+from logs.tracks.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
 from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of
 
 ENVELOPE = {"stream": 17, "sequence": 3, "name": "clip", "sent_ns": 2**62}

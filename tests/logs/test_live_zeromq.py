@@ -22,10 +22,9 @@ import zmq
 from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs import subscribe_tracks
-from logs.live.address import Address, parse_address
-from logs.live.message import encode
-from logs.live.zeromq import ZmqPublisher
-from logs.sinks.open import open_publisher
+from logs.sinks.open import Address, open_publisher, parse_address
+from logs.sinks.zeromq import ZmqPublisher
+from logs.tracks.message import encode
 from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks, result_of
 
 LOCAL = "tcp://127.0.0.1:0"
@@ -34,7 +33,7 @@ LOCAL = "tcp://127.0.0.1:0"
 @pytest.fixture(autouse=True)
 def time_to_connect(monkeypatch: pytest.MonkeyPatch) -> None:
     """More of it than a program needs: the tests' machine may be busy."""
-    monkeypatch.setattr("logs.live.zeromq.CONNECT_S", 1.0)
+    monkeypatch.setattr("logs.sinks.zeromq.CONNECT_S", 1.0)
 
 
 def frames(count: int, lines: int = 20) -> list[LineTracks]:
@@ -262,7 +261,7 @@ def test_a_socket_that_was_left_behind_is_replaced_and_a_file_is_not(tmp_path: P
 
 def test_closing_that_was_interrupted_can_be_done_again() -> None:
     """Interrupted between the context and its sockets, the context knows none of them any more, yet waits for them."""
-    code = "from logs.live.address import parse_address; from logs.live.zeromq import ZmqPublisher; "
+    code = "from logs.sinks.open import parse_address; from logs.sinks.zeromq import ZmqPublisher; "
     code += f"publisher = ZmqPublisher(parse_address('{LOCAL}'), 'clip'); publisher._context._sockets.clear(); "
     code += "publisher.close(); publisher.close(); print('closed')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
@@ -274,6 +273,6 @@ def test_without_the_extra_one_sentence_names_it(
     module: str, scheme: str, extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.delitem(sys.modules, f"logs.live.{extra}", raising=False)
+    monkeypatch.delitem(sys.modules, f"logs.sinks.{extra}", raising=False)
     with pytest.raises(ConfigError, match=rf"{module} is not installed: pip install 'airline-frontend\[{extra}\]'"):
         open_publisher(f"{scheme}://127.0.0.1:0", "clip")

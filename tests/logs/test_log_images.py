@@ -13,10 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.images.decoder import decode_still
+from logs.images.decoder import decode_pixels, decode_still
 from logs.images.encoded import decode_encoded
-from logs.images.pixels import decode_pixels
-from logs.messages.registry import reader_for
+from logs.messages.readers import reader_for
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from tests.helpers.camera_messages import cdr, image_fields, picture, ros1
 

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.messages.registry import is_calibration_type, is_image_type, reader_for
+from logs.messages.readers import is_calibration_type, is_image_type, reader_for
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
 from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
 

@@ -13,8 +13,8 @@ from frontend.protocols import Source
 from frontend.sources.wrapped import SelectedFrames
 from logs import LogImageSource, McapImageSource, open_images
 from logs.files import open_log
-from logs.listing import as_text, camera_topics
 from logs.stamps import TimeSource
+from logs.topics import as_text, camera_topics
 from tests.helpers.camera_logs import EPOCH_NS, STEP_NS, Channel, Logged, drawn, images, raw, text, write_log
 from tests.helpers.camera_messages import ROS2, K, cdr, info_fields
 from tests.logs.test_log_video import FORMATS, GROUP, stream

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs.files.types import LogMessage, TopicType
+from logs.files import LogMessage, TopicType
 from logs.messages.types import UndecodableError
 from logs.stamps import StampClock, TimeSource
 

@@ -15,8 +15,7 @@ import pytest
 from airline.errors import ConfigError
 from logs.images.decoder import ImageDecoder
 from logs.images.video import VideoDecoder
-from logs.messages.annexb import is_key_frame
-from logs.messages.types import UndecodableError, VideoPacket
+from logs.messages.types import UndecodableError, VideoPacket, is_key_frame
 from tests.helpers.camera_messages import STAMP_NS, picture
 
 COUNT = 12

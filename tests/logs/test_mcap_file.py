@@ -16,9 +16,8 @@ from mcap.records import Channel, ChunkIndex, Footer, McapRecord, MessageIndex, 
 from mcap.writer import CompressionType, IndexType
 
 from airline.errors import InputError
-from logs.files import MCAP_MAGIC, mcap_file
+from logs.files import MCAP_MAGIC, LogFile, Topic, TopicType, mcap_file
 from logs.files.mcap_file import McapFile
-from logs.files.types import LogFile, Topic, TopicType
 from tests.helpers.mcap_logs import Sent, add, chunked, messages, on_topic, read, rewrite, start, write, write_chunks
 
 Open = Callable[[Path], McapFile]

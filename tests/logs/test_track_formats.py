@@ -19,11 +19,12 @@ from hypothesis import strategies as st
 
 from airline.errors import InputError
 from frontend.tracks import FIELDS, LineTracks
-from logs.live.message import decode, encode
 from logs.read import read_tracks
 from logs.sinks.open import open_track_sink
-from logs.sinks.parquet import ParquetTrackSink, journal_of
+from logs.sinks.output import journal_of
+from logs.sinks.tables import ParquetTrackSink
 from logs.tracks.json import SCHEMA, decode_tracks, encode_tracks
+from logs.tracks.message import decode, encode
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import assert_all_same, assert_same, clip_results, made_tracks, result_of, streams
 

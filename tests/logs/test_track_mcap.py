@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from airline.errors import InputError
 from frontend.colours import track_colours
 from logs.read import read_tracks
-from logs.sinks.mcap_tracks import McapTrackSink
+from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.output import McapOutput
 from logs.tracks.json import encode_tracks
 from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, result_of

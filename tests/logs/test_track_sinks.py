@@ -16,7 +16,7 @@ from frontend.tracks import LineTracks
 from logs.read import read_tracks
 from logs.repair import main
 from logs.sinks.open import check, kind_and_path, open_track_sink
-from logs.sinks.parquet import ParquetTrackSink, finish_journal
+from logs.sinks.tables import ParquetTrackSink, finish_journal
 from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks
 
 ROOT = Path(__file__).parents[2]
@@ -203,7 +203,7 @@ from tests.helpers.made_tracks import result_of
 from tests.logs.test_track_sinks import expected
 from logs.sinks import output
 from logs.sinks.open import open_track_sink
-from logs.sinks.parquet import finish_journal
+from logs.sinks.tables import finish_journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
 output.FLUSH_S = 0.0
@@ -258,7 +258,7 @@ def test_no_room_for_the_parquet_file_leaves_the_journal(tmp_path):
 
 
 def test_bad_quality():
-    from logs.sinks.mcap_tracks import McapTrackSink
+    from logs.sinks.foxglove import McapTrackSink
 
     with pytest.raises(ConfigError, match="1 to 100"):
         McapTrackSink("never.mcap", jpeg_quality=0)

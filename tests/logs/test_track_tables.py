@@ -12,8 +12,7 @@ import pytest
 
 from airline.errors import InputError
 from logs.read import read_tracks
-from logs.sinks.csv import CsvTrackSink
-from logs.sinks.parquet import ParquetTrackSink
+from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
 from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of
 
@@ -67,8 +66,8 @@ def test_the_file_explains_itself(path):
 
 def test_frames_across_batches_and_row_groups(tmp_path, monkeypatch):
     monkeypatch.setattr("logs.read._BATCH_ROWS", 7)
-    monkeypatch.setattr("logs.sinks.parquet._GROUP_ROWS", 20)
-    monkeypatch.setattr("logs.sinks.parquet._ROWS_WAITING", 10)
+    monkeypatch.setattr("logs.sinks.tables._GROUP_ROWS", 20)
+    monkeypatch.setattr("logs.sinks.tables._ROWS_WAITING", 10)
     rng = np.random.default_rng(1)
     counts = [0, 3, 30, 0, 0, 1, 8, 7, 7, 0, 5, 0]
     stream = [made_tracks(5 * k, k, np.arange(n), rng, lost=n % 3, ended=1) for k, n in enumerate(counts)]

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from logs.live.message import ARRAYS, encode
 from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
+from logs.tracks.message import ARRAYS, encode
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import clip_results
 from tests.logs.test_plvins import read

@@ -12,8 +12,8 @@ import pytest
 from frontend.colours import track_colours
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.mcap_tracks import McapTrackSink
-from logs.sinks.parquet import ParquetTrackSink
+from logs.sinks.foxglove import McapTrackSink
+from logs.sinks.tables import ParquetTrackSink
 from tests.helpers.command import command, recorded
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.viewer import needs_viewer

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from logs.sinks.mcap_tracks import McapTrackSink
-from logs.sinks.parquet import ParquetTrackSink
+from logs.sinks.foxglove import McapTrackSink
+from logs.sinks.tables import ParquetTrackSink
 from tests.helpers.command import command, recorded
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.ports import free_port
@@ -30,8 +30,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     unfinished = ParquetTrackSink(folder / "killed.parquet")
     for result in clip_results():
         unfinished.write(result)
-    unfinished._writer.flush()
-    unfinished._output.file.flush()
+    unfinished.flush()
     yield folder
     unfinished.close()
 

@@ -55,7 +55,10 @@ class _Array(msgspec.Struct):
 
     def read(self, field: Field, rows: int) -> NDArray[Any]:
         """The array; raises ValueError where it is another than it has to be."""
-        dtype, shape = _little_endian(field), (rows, *(self.shape[1:2] if field.shape == (-1,) else field.shape))
+        dtype, shape = (
+            field.dtype.newbyteorder("<"),
+            (rows, *(self.shape[1:2] if field.shape == (-1,) else field.shape)),
+        )
         if self.dtype != dtype.str or self.shape != shape or len(shape) != 1 + len(field.shape):
             raise ValueError(f"it is {self.dtype} {list(self.shape)}, not {dtype.str} {[rows, *field.shape]}")
         if len(self.data) != dtype.itemsize * math.prod(shape):
@@ -99,11 +102,6 @@ class _Tracks(_Envelope):
         return assembled(self.frame_index, self.stamp_ns, found, camera, self.reset)
 
 
-def _little_endian(field: Field) -> np.dtype[Any]:
-    dtype: np.dtype[Any] = field.dtype.newbyteorder("<")
-    return dtype
-
-
 _encoder = msgspec.msgpack.Encoder()
 
 
@@ -116,7 +114,7 @@ def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str,
     tracks, (height, width) = result.tracks, result.frame.image.shape[:2]
     arrays = {}
     for field in ARRAYS:
-        dtype, array = _little_endian(field), getattr(tracks, field.name)
+        dtype, array = field.dtype.newbyteorder("<"), getattr(tracks, field.name)
         if array is None:
             array = np.full((len(tracks), *field.shape), np.nan)
         arrays[field.name] = _Array(dtype.str, array.shape, np.asarray(array, dtype).tobytes())
@@ -128,11 +126,7 @@ def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str,
 
 
 def decode(data: bytes) -> LiveTracks:
-    """The inverse of `encode`, for bytes of anybody.
-
-    Raises:
-        InputError: no such message, one of another version, or one whose parts do not fit each other.
-    """
+    """The inverse of `encode`; raises InputError: no such message, of another version, or its parts do not fit."""
     if len(data) > MAX_BYTES:
         raise InputError(f"not a valid message of a line stream: it has more than {MAX_BYTES} bytes")
     try:

@@ -1,4 +1,4 @@
-"""Tracked lines in a Parquet file, for notebooks and for reading back.
+"""Tracked lines as a table: in a Parquet file, for notebooks and for reading back, and as CSV.
 
 A Parquet file has its index at the end and is nothing without it. So rows go into a journal first, an Arrow IPC stream
 that is readable up to its last whole batch. Every batch holds whole frames, and in its metadata the notes on them.
@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 
 from airline.errors import InputError
@@ -17,12 +18,18 @@ from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.read import read_journal
-from logs.sinks.output import OutputFile, check_new, errors_of, whole_file
+from logs.sinks.output import OutputFile, check_new, check_table, errors_of, journal_of, whole_file
 from logs.tracks.json import Camera
-from logs.tracks.table import SCHEMA, TableNotes, to_batch
+from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
 
 _ROWS_WAITING = 50_000  # at most, 10 MB
 _GROUP_ROWS = 100_000  # 20 MB
+_DESCRIPTOR_LENGTH = 6  # of a CSV file without rows
+
+
+def _is_due(output: OutputFile, frames: list[LineTracks]) -> bool:
+    """Whether to write what is waiting: at least every second."""
+    return output.flush_is_due() or sum(map(len, frames)) >= _ROWS_WAITING
 
 
 class ParquetTrackSink:
@@ -56,7 +63,7 @@ class ParquetTrackSink:
             self._notes.empty[self._place] = tracks
         self._frames.append(tracks)
         self._place += 1
-        if self._output.flush_is_due() or sum(map(len, self._frames)) >= _ROWS_WAITING:
+        if _is_due(self._output, self._frames):
             self.flush()
 
     def flush(self) -> None:
@@ -86,32 +93,13 @@ class ParquetTrackSink:
         self._frames, self._notes = [], TableNotes()
 
 
-def journal_of(path: Path) -> Path:
-    """Where the journal of a Parquet file lies."""
-    return path.with_name(path.name + ".unfinished")
-
-
-def check_table(path: Path, overwrite: bool) -> None:
-    """Refuse, before any work, an output that exists, or the journal of one; raises InputError."""
-    check_new(path, overwrite)
-    journal = journal_of(path)
-    if journal.exists() and not overwrite:
-        raise InputError(
-            f"'{journal}' is left from a run that did not end: make '{path.name}' of it with "
-            f"python -m logs.repair {journal}, or give --overwrite"
-        )
-
-
 def finish_journal(path: Path, out: Path, overwrite: bool = False) -> int:
-    """Make a Parquet file of a journal, in bounded memory, and remove the journal.
+    """Make a Parquet file of a journal, in bounded memory, and remove the journal; returns the number of rows.
 
     Args:
         path: the journal, which may be cut anywhere: all whole batches are used.
         out: the Parquet file; it appears when it is complete.
         overwrite: replace an existing file.
-
-    Returns:
-        How many rows the file has.
 
     Raises:
         InputError: no journal, or an output that exists or cannot be written; the journal stays.
@@ -140,3 +128,57 @@ def _write_group(writer: pq.ParquetWriter, group: list[pa.RecordBatch]) -> int:
         writer.write_table(table, row_group_size=max(_GROUP_ROWS, len(table)))
     group.clear()
     return len(table)
+
+
+class CsvTrackSink:
+    """Writes each frame's tracks into a CSV file, one line per observation; a `Sink`.
+
+    The columns are those of the Parquet file, with the descriptor as d0, d1, ... and without what belongs to a whole
+    frame. Numbers have the shortest text that reads back as the same float32; an empty field means that there is none.
+    Arguments and errors are those of `OutputFile`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        self._output = OutputFile(Path(path), overwrite)
+        self._frames: list[LineTracks] = []
+        self._descriptor_length: int | None = None
+        self._header_written = False
+
+    def write(self, result: FrameResult) -> None:
+        """Add one frame's tracks."""
+        tracks = result.tracks
+        if not len(tracks):
+            return
+        length = tracks.descriptors.shape[1]
+        if self._descriptor_length not in (None, length):
+            raise InputError(
+                f"'{self._output.path}' has columns for {self._descriptor_length} numbers of a descriptor, "
+                f"but frame {tracks.frame_index} has {length}"
+            )
+        self._descriptor_length = length
+        self._frames.append(tracks)
+        if _is_due(self._output, self._frames):
+            self._flush()
+
+    def close(self) -> None:
+        """Write the rest; safe to call twice."""
+        if self._output.is_open:
+            self._flush()
+            self._output.close()
+
+    def _flush(self) -> None:
+        table = to_batch(self._frames)
+        self._frames = []
+        length = _DESCRIPTOR_LENGTH if self._descriptor_length is None else self._descriptor_length
+        descriptors = table.column("descriptor").flatten().to_numpy().reshape(len(table), length)
+        table = table.drop_columns(["descriptor", *FRAME_COLUMNS])
+        for k in range(length):
+            table = table.append_column(f"d{k}", pa.array(descriptors[:, k]))
+        text = pa.BufferOutputStream()
+        if not self._header_written:
+            text.write((",".join(table.schema.names) + "\n").encode("ascii"))
+        pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(include_header=False))
+        with self._output.writing() as file:
+            file.write(text.getvalue())
+            file.flush()
+        self._header_written = True

@@ -1,4 +1,4 @@
-"""Tracked lines in an MCAP file, for Foxglove and Lichtblick and for reading back; and the messages for both.
+"""Tracked lines for Foxglove and Lichtblick, in an MCAP file, which can be read back too, and served live.
 
 Foxglove draws annotations with (0, 0) at the corner of the top-left pixel, half a pixel from our origin; calibrations
 follow OpenCV and ROS, whose origin is ours.
@@ -7,6 +7,7 @@ follow OpenCV and ROS, whose origin is ours.
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,13 +22,14 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from airline.errors import ConfigError
+from airline.errors import ConfigError, from_extra
 from airline.image import to_uint8
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
+from logs.sinks.open import Address, cannot_publish
 from logs.sinks.output import McapOutput
 from logs.tracks.json import CONVENTIONS, SCHEMA, SCHEMA_NAME, SECOND_NS, Camera, encode_tracks
 
@@ -36,7 +38,9 @@ TRACKS_TOPIC = "/lines/tracks"
 CALIBRATION_TOPIC = "/camera/calibration"
 IMAGE_TOPIC = "/camera/image"
 JPEG_QUALITY = 80
+MESSAGES_WAITING = 64  # per viewer, about half a second of a camera; the server drops the oldest
 
+_CLOSE_S = 1.0
 _CORNER = 0.5
 _FRAME_ID = "camera"
 _THICKNESS = 2.0  # px
@@ -55,11 +59,7 @@ class Topic(NamedTuple):
 
 
 def _protobuf(message: type[Message]) -> Topic:
-    return Topic("protobuf", message.DESCRIPTOR.full_name, "protobuf", schema_of(message))
-
-
-def schema_of(message: type[Message]) -> bytes:
-    """The serialised FileDescriptorSet of a message's file and of all that it imports, imports first."""
+    """The schema is the FileDescriptorSet of the message's file and of all that it imports, imports first."""
     files = FileDescriptorSet()
     seen: set[str] = set()
 
@@ -71,7 +71,7 @@ def schema_of(message: type[Message]) -> bytes:
             file.CopyToProto(files.file.add())
 
     add(message.DESCRIPTOR.file)
-    return files.SerializeToString()
+    return Topic("protobuf", message.DESCRIPTOR.full_name, "protobuf", files.SerializeToString())
 
 
 TOPICS = {
@@ -137,7 +137,6 @@ def _calibration(camera: CameraModel, stamp_ns: int) -> CameraCalibration:
 
 
 def _jpeg(frame: Frame, quality: int) -> CompressedImage:
-    """The image, 16 bits reduced to 8."""
     _, encoded = cv2.imencode(".jpg", to_uint8(frame.image), [cv2.IMWRITE_JPEG_QUALITY, quality])
     stamp = _timestamp(frame.stamp_ns)
     return CompressedImage(timestamp=stamp, frame_id=_FRAME_ID, format="jpeg", data=encoded.tobytes())
@@ -158,8 +157,8 @@ class McapTrackSink:
     | /camera/calibration | foxglove.CameraCalibration, every second and when the camera changes | protobuf |
     | /camera/image | foxglove.CompressedImage, JPEG, on demand | protobuf |
 
-    Log time, publish time and the messages' own times are the image's stamp, so that players lay lines and image over
-    each other. The file's metadata record "airline-frontend" states the conventions.
+    All times of messages are the image's stamp, so that players lay lines and image over each other. The file's
+    metadata record "airline-frontend" states the conventions.
 
     Args:
         path, overwrite: see `OutputFile`.
@@ -210,10 +209,54 @@ class McapTrackSink:
     def _calibration_is_due(self, tracks: LineTracks) -> bool:
         """When the camera changes, and every second, so that players that seek need not look far back."""
         camera, before, self._camera = tracks.camera, self._camera, tracks.camera
-        if camera is None:
-            return False
         changed = camera is not before and Camera.of(camera) != Camera.of(before)
         due = changed or self._calibrated_ns is None or tracks.stamp_ns - self._calibrated_ns >= SECOND_NS
-        if due:
+        if due and camera is not None:
             self._calibrated_ns = tracks.stamp_ns
         return due
+
+
+class FoxgloveServer:
+    """Serves each frame's tracks and image to viewers; a `Sink`.
+
+    The topics and schemas are those of `McapTrackSink`, images included, but that the calibration comes with every
+    frame: a viewer may come at any time. What no viewer looks at is not made. Nothing ever waits for a viewer.
+
+    Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
+    """
+
+    def __init__(self, address: Address, name: str, *, labels: bool = False) -> None:
+        with from_extra("foxglove"):
+            from foxglove import Channel, Context, Schema, start_server
+
+        self._labels = labels
+        self._closed = False
+        context = self._context = Context()  # its channels end with it
+        host = "0.0.0.0" if address.host == "*" else address.host
+        try:
+            self._server = start_server(
+                name=name, host=host, port=address.port, context=context, message_backlog_size=MESSAGES_WAITING
+            )
+        except RuntimeError as error:  # FoxgloveError: Failed to bind port: Address already in use (os error 98)
+            reason = str(error).rpartition(": ")[2].partition(" (os error")[0]
+            raise cannot_publish(address, reason) from None
+        self.address = str(Address("ws", address.host, self._server.port))
+        self._channels = {}
+        for name, topic in TOPICS.items():
+            schema = Schema(name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
+            self._channels[name] = Channel(name, schema=schema, message_encoding=topic.encoding, context=context)
+
+    def write(self, result: FrameResult) -> None:
+        """Send one frame's tracks and image."""
+        stamp_ns = max(0, result.tracks.stamp_ns)  # viewers have no time before the epoch
+        for topic, channel in self._channels.items():
+            if channel.has_sinks() and (data := message_for(topic, result, labels=self._labels)) is not None:
+                channel.log(data, log_time=stamp_ns)
+
+    def close(self) -> None:
+        """Disconnect everybody; safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            stop = threading.Thread(target=self._server.stop, daemon=True)  # it waits for ever for a stuck viewer
+            stop.start()
+            stop.join(_CLOSE_S)

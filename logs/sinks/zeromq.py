@@ -13,8 +13,8 @@ from contextlib import suppress
 from airline.errors import ConfigError, InputError, from_extra
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.live.address import Address, cannot_publish, parse_address
-from logs.live.message import MAX_BYTES, LiveTracks, decode, encode
+from logs.sinks.open import Address, cannot_publish, parse_address
+from logs.tracks.message import MAX_BYTES, LiveTracks, decode, encode
 
 with from_extra("zeromq"):
     import zmq
@@ -30,9 +30,9 @@ _LARGEST_REQUEST = 1 << 16  # bytes; consumers send nothing but subscriptions
 class ZmqPublisher:
     """Sends each frame's tracks to whoever is connected; a `Sink`.
 
-    A PUB socket that never waits for a consumer: one that is slow loses messages, which their numbers show, and one
-    that comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, so
-    that consumers that are there already have connected. The last message says that it is.
+    A PUB socket never waits for a consumer: one that is slow loses messages, which their numbers show, and one that
+    comes late gets what is sent from then on. Only the first frame waits, until `CONNECT_S` after the binding, for
+    consumers that are there already. The last message says that it is.
 
     Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
@@ -93,7 +93,7 @@ def _check_file(address: Address) -> None:
 
 
 def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSubscription:
-    """The tracks that another process publishes, from now on; the process may start later.
+    """The tracks that another process publishes, from now on; it may start later.
 
     Example:
         >>> with subscribe_tracks("tcp://127.0.0.1:5555") as subscription:  # doctest: +SKIP
@@ -106,7 +106,7 @@ def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSu
 
     Raises:
         ConfigError: no such address.
-        InputError: it cannot be used; more in `TrackSubscription`.
+        InputError: it cannot be used.
     """
     return TrackSubscription(address, timeout_s)
 

@@ -1,0 +1,212 @@
+"""Camera messages of ROS and Foxglove: which ones can be read, and what they say.
+
+ROS: sensor_msgs in CDR (ROS 2) and ROS 1's own encoding, https://docs.ros.org/en/rolling/p/sensor_msgs/.
+Foxglove: protobuf, JSON and CDR, https://docs.foxglove.dev/docs/sdk/schemas. Fields that newer versions add are passed
+over in protobuf and JSON; CDR has no room for them. The layouts are fixed, so the definitions inside a log, which may
+be damaged or hostile, are never used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage as ProtobufRawImage
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.timestamp_pb2 import Timestamp
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from logs.messages.types import (
+    Bytes,
+    CameraInfo,
+    EncodedImage,
+    RawImage,
+    Record,
+    UndecodableError,
+    VideoPacket,
+    sniffed_video_format,
+    stamp_ns,
+    video_format,
+)
+
+if TYPE_CHECKING:
+    from logs.files import LogMessage
+
+_IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket"}
+_CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
+_DEPTH_HEADER = 12  # bytes that compressed_depth_image_transport puts before the image
+_PNG = b"\x89PNG"
+_Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+
+
+class _JsonTime(msgspec.Struct, rename={"nanosec": "nsec"}):
+    sec: int
+    nanosec: int
+
+
+class _JsonMessage(msgspec.Struct, kw_only=True):
+    timestamp: _JsonTime
+    frame_id: str = ""
+
+
+class _JsonRawImage(_JsonMessage, kw_only=True):
+    width: _Uint32
+    height: _Uint32
+    encoding: str
+    step: _Uint32
+    data: bytes  # msgspec decodes the base64
+
+
+class _JsonCompressed(_JsonMessage, kw_only=True):
+    data: bytes
+    format: str = ""
+
+
+class _JsonCalibration(_JsonMessage, kw_only=True):
+    width: _Uint32
+    height: _Uint32
+    distortion_model: str = ""
+    D: list[float] = []
+    K: list[float]
+    R: list[float] = []
+    P: list[float] = []
+
+
+_RAW = "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data"
+_COMPRESSED = "uint8[] data\nstring format"
+_CALIBRATION = (
+    "uint32 width\nuint32 height\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p"
+)
+# How each of Foxglove's types is written down in protobuf, JSON and CDR.
+_FOXGLOVE: dict[str, tuple[type[Message], type[_JsonMessage], str]] = {
+    "RawImage": (ProtobufRawImage, _JsonRawImage, _RAW),
+    "CompressedImage": (CompressedImage, _JsonCompressed, _COMPRESSED),
+    "CompressedVideo": (CompressedVideo, _JsonCompressed, _COMPRESSED),
+    "CameraCalibration": (CameraCalibration, _JsonCalibration, _CALIBRATION),
+}
+_READABLE = {
+    "sensor_msgs/": (("cdr", "ros1"), ("Image", "CompressedImage", "CameraInfo")),
+    "foxglove_msgs/": (("cdr",), _FOXGLOVE),
+    "foxglove.": (("protobuf", "json"), _FOXGLOVE),
+}
+
+
+@cache
+def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | None:
+    """How to read messages of one type; None for types that are not readable here.
+
+    Args:
+        schema_name: such as "sensor_msgs/msg/Image" (ROS 2), "sensor_msgs/Image" (ROS 1) or "foxglove.RawImage".
+        encoding: of the messages: "cdr", "ros1", "protobuf" or "json".
+
+    Returns:
+        A function from a message's bytes to its record, for any thread. It raises UndecodableError and nothing else,
+        whatever the bytes are.
+    """
+    name = schema_name.replace("/msg/", "/")
+    kind = _last(name)
+    package = name.removesuffix(kind)
+    encodings, kinds = _READABLE.get(package, ((), ()))
+    return partial(_read, package, kind, encoding) if encoding in encodings and kind in kinds else None
+
+
+def read_message(message: LogMessage) -> Record:
+    """What a message of a log says; raises UndecodableError: it is damaged, or of a type that is not readable."""
+    read = reader_for(message.type.schema_name, message.type.encoding)
+    if read is None:
+        raise UndecodableError("its type is not readable", repr(str(message.type)))
+    return read(message.data)
+
+
+def is_image_type(schema_name: str) -> bool:
+    """Whether messages of this type are camera images, readable here or not."""
+    return _last(schema_name) in _IMAGES
+
+
+def is_calibration_type(schema_name: str) -> bool:
+    """Whether messages of this type are camera calibrations, readable here or not."""
+    return _last(schema_name) in _CALIBRATIONS
+
+
+def _last(schema_name: str) -> str:
+    return re.split(r"[./:]", schema_name)[-1]
+
+
+def _read(package: str, kind: str, encoding: str, data: Bytes) -> Record:
+    message: Any
+    try:
+        if encoding == "json":
+            message = msgspec.json.decode(data, type=_FOXGLOVE[kind][1])
+        elif encoding == "protobuf":
+            message = _FOXGLOVE[kind][0]()
+            message.ParseFromString(data)
+        elif encoding == "ros1":
+            message = _ros1().deserialize_ros1(memoryview(data), f"{package}msg/{kind}")
+        else:
+            message = _ros2().deserialize_cdr(memoryview(data), f"{package}msg/{kind}")
+        return _record(kind, message)
+    except (SerdeError, DecodeError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise UndecodableError("damaged message", str(error)) from error
+
+
+def _record(kind: str, message: Any) -> Record:
+    header = getattr(message, "header", None)  # ROS
+    stamp, frame_id = (message.timestamp, message.frame_id) if header is None else (header.stamp, header.frame_id)
+    time = (stamp.seconds, stamp.nanos) if isinstance(stamp, Timestamp) else (stamp.sec, stamp.nanosec)
+    head = stamp_ns(*time), frame_id
+    if kind in _CALIBRATIONS:
+        return _camera_info(head, message)
+    data = message.data if isinstance(message.data, bytes) else message.data.data  # an array in ROS and CDR
+    if kind in ("Image", "RawImage"):
+        big_endian = bool(getattr(message, "is_bigendian", False))
+        return RawImage(*head, message.width, message.height, message.encoding, message.step, big_endian, data)
+    text = message.format
+    if kind == "CompressedVideo":
+        video = video_format(text)
+        if video is None:
+            raise UndecodableError("video format is not readable", text[:40])
+        return VideoPacket(*head, video, data)
+    if header is not None and "compressedDepth" in text:
+        if not text.startswith("16UC1") or data[_DEPTH_HEADER : _DEPTH_HEADER + 4] != _PNG:
+            raise UndecodableError("compressed depth is not readable", text[:60])
+        return EncodedImage(*head, data[_DEPTH_HEADER:])
+    if header is not None and (video := video_format(text) or sniffed_video_format(data)):
+        return VideoPacket(*head, video, data)
+    return EncodedImage(*head, data)
+
+
+def _camera_info(head: tuple[int, str], message: Any) -> CameraInfo:
+    capital = hasattr(message, "K")  # small letters in ROS 2
+    d, k, r, p = (tuple(map(float, getattr(message, name.upper() if capital else name))) for name in "dkrp")
+    r = r or (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    p = p or (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+    if (len(k), len(r), len(p)) != (9, 9, 12):
+        raise UndecodableError("damaged message", "K, R and P have 9, 9 and 12 numbers")
+    info = CameraInfo(*head, message.width, message.height, message.distortion_model, d, k, r, p)
+    if not hasattr(message, "roi"):
+        return info
+    roi = message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height
+    return replace(info, binning=(message.binning_x, message.binning_y), roi=roi)
+
+
+@cache
+def _ros1() -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC)
+
+
+@cache
+def _ros2() -> Typestore:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for kind, (_, _, fields) in _FOXGLOVE.items():
+        text = f"builtin_interfaces/Time timestamp\nstring frame_id\n{fields}\n"
+        store.register(get_types_from_msg(text, f"foxglove_msgs/msg/{kind}"))
+    return store
