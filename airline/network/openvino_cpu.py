@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from openvino import opset13 as op
 
 from airline.image import Gray, mean_and_deviation
-from airline.network.processor import has_bf16
+from airline.network.runtimes import has_bf16
 from airline.network.spec import SIZES, UNetSpec
 from airline.network.weights import load_weights
 

@@ -12,10 +12,9 @@ from airline.config import FitConfig
 from airline.kernels.compiled import njit
 from airline.kernels.threads import ALONE, ThreadTeam
 from airline.lines import LineSet
-from airline.stages.extend_ends import extend_ends
 from airline.stages.join_collinear import join_collinear
 from airline.stages.pixels import EdgePixels
-from airline.stages.score_parts import line_scores, score_parts
+from airline.stages.score_parts import extend_ends, line_scores, score_parts
 from airline.stages.split_regions import residual, split_regions
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.evaluation.repeatability import corners
+from airline.evaluation.metrics import corners
 from airline.kernels.compiled import njit
 
 SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view

@@ -3,21 +3,107 @@
 from __future__ import annotations
 
 import logging
+import pickle
 import signal
 import threading
 import time
-from collections.abc import Iterator
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from airline.training import checkpoint
+from airline.errors import InputError
 from airline.training.crops import Crops
 from airline.training.loop import Schedule, State, train
 from airline.training.validation import Validation
+
+log = logging.getLogger("airline.train")
+
+Settings = Mapping[str, str | int | float | None]  # by the name of the option
+LENGTHS = ("--steps", "--minutes")
+COUNTERS = ("step", "seconds", "best", "best_step")  # of the state
+DAMAGE = (OSError, EOFError, LookupError, RuntimeError, TypeError, ValueError, pickle.UnpicklingError,
+          zipfile.BadZipFile, zlib.error)  # fmt: skip
+
+
+def save(state: State, settings: Settings, finished: bool, path: Path) -> None:
+    """Write a checkpoint; an older one is replaced only when the new one is complete.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    content = {
+        "settings": dict(settings),
+        "finished": finished,
+        "net": state.net.state_dict(),
+        "optimiser": state.optimiser.state_dict(),
+        **{name: getattr(state, name) for name in COUNTERS},
+    }
+    partial = path.with_name(path.name + ".partial")
+    try:
+        torch.save(content, partial)
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"cannot write {path} ({_short(error)}): make room, or give an --out elsewhere") from None
+
+
+def restore(state: State, settings: Settings, path: Path) -> None:
+    """Bring a fresh state to where the checkpoint stands; nothing happens where there is none.
+
+    Raises:
+        InputError: the file is damaged, or made with settings under which this training cannot go on from it.
+    """
+    if not path.exists():
+        return
+    content = _read(path)
+    try:
+        _check(content["settings"], settings, content["finished"], path)
+        state.net.load_state_dict(content["net"])
+        state.optimiser.load_state_dict(content["optimiser"])
+        for name in COUNTERS:
+            setattr(state, name, content[name])
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        reason = f"is no checkpoint of this training ({_short(error)})"
+        raise InputError(f"{path} {reason}: delete it to start again") from None
+    log.info("going on at step %d from %s", state.step, path)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with zipfile.ZipFile(path) as archive:  # torch itself does not look at the checksums
+            if archive.testzip() is not None:
+                raise ValueError("wrong checksum")
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(content, dict):
+            raise TypeError(f"it holds a {type(content).__name__}")
+    except DAMAGE as error:
+        raise InputError(f"the checkpoint {path} is damaged ({_short(error)}): delete it to start again") from None
+    return content
+
+
+def _check(stored: Settings, settings: Settings, finished: bool, path: Path) -> None:
+    changed = {key: (stored[key], settings[key]) for key in settings if stored[key] != settings[key]}
+    for key, (before, now) in changed.items():
+        if len(changed) == 1 and key in LENGTHS and finished and float(now or 0) > float(before or 0):
+            log.info("the finished training is extended from %s %s to %s, on the schedule of the new length",
+                     key, before, now)  # fmt: skip
+            return
+    if changed:
+        differences = ", ".join(f"{key} was {before} and is {now}" for key, (before, now) in changed.items())
+        advice = "repeat them to go on, or delete the file to start again"
+        raise InputError(f"{path} was made with other settings ({differences}): {advice}")
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:160]
+
 
 log = logging.getLogger("airline.train")
 LOG_EVERY = 30.0  # s, where no terminal shows a bar
@@ -39,7 +125,7 @@ class Session:
     schedule: Schedule
     validation: Validation
     validate_every: float
-    settings: checkpoint.Settings
+    settings: Settings
     checkpoint: Path
     sheets: Path
 
@@ -49,7 +135,7 @@ class Session:
         Raises:
             AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
         """
-        checkpoint.restore(state, self.settings, self.checkpoint)
+        restore(state, self.settings, self.checkpoint)
         console, steps = Console(stderr=True), f"/{self.schedule.steps}" if self.schedule.steps else ""
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
         first, smoothed, score = state.step, 0.0, ""
@@ -69,7 +155,7 @@ class Session:
                     log.info("%s", text)
                 if now - validated >= self.validate_every and done < 1:
                     score = self._validate(state)
-                    checkpoint.save(state, self.settings, False, self.checkpoint)
+                    save(state, self.settings, False, self.checkpoint)
                     validated = time.monotonic()
                 return asked.is_set()
 
@@ -77,7 +163,7 @@ class Session:
             finished = self.schedule.done(state.step, state.seconds) >= 1
             if finished:
                 self._validate(state)
-            checkpoint.save(state, self.settings, finished, self.checkpoint)
+            save(state, self.settings, finished, self.checkpoint)
         if not finished:
             log.info("stopped at step %d: the same command goes on from %s", state.step, self.checkpoint)
         return finished

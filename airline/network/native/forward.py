@@ -1,4 +1,4 @@
-"""The network from the image to the edge map, as phases of `scheduler`.
+"""The network from the image to the edge map, as phases of `airline.kernels.atomics`.
 
 The first phase is the input; then comes a level after the other on the way down, each with the largest of each four
 pixels for the next; then on the way up, and the last phase writes the edge map. Sources and targets are addresses;
@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from airline.kernels.atomics import bounds, finish, next_part, wait
 from airline.kernels.compiled import njit
 from airline.network.native.image import fill_rows
-from airline.network.native.microkernels import BLOCK, BYTES, FLOATS, LOGITS, PIXEL, add_coarse, fill, pool, tile
-from airline.network.native.scheduler import bounds, finish, next_part, wait
-from airline.network.native.vectors import TILE
+from airline.network.native.microkernels import BLOCK, BYTES, FLOATS, LOGITS, PIXEL, TILE, add_coarse, fill, pool, tile
 
 # columns of the table of levels: rows and columns; from a row to the next, bytes; groups of channels; addresses of what
 # its first layer takes, with a margin of a pixel, of the maps on the way down and up, and of smoothed copies
@@ -48,11 +47,11 @@ def run_layers(isa, levels, layers, shares, zeros, scratch, edges, marks, who, t
     """Our share of the others.
 
     Args:
-        isa: see `airline.network.processor`.
-        levels, layers, scratch: see `airline.network.native.memory.Memory`.
+        isa: see `airline.network.runtimes`.
+        levels, layers, scratch: see `airline.network.native.network.Memory`.
         shares, zeros: see `airline.network.native.quantise.Quantised`.
         edges: (H, W) float32, which is filled.
-        marks: see `airline.network.native.scheduler`.
+        marks: see `airline.kernels.atomics`.
         who, threads: which thread of how many.
     """
     count = len(levels)
@@ -144,7 +143,7 @@ def _convolve(isa, kind, layer, turn, source, target, apart, columns):  # type: 
     """A row of a convolution.
 
     Args:
-        isa: see `airline.network.processor`.
+        isa: see `airline.network.runtimes`.
         kind: of answer, see `airline.network.native.microkernels`.
         layer: (6,) int64 row of the table.
         turn: which of the layer's lists of terms to take.

@@ -131,7 +131,7 @@ def load_unet(weights: str | Path) -> UNet:
 def save_unet(net: UNet, path: Path, ranges: Ranges | None = None, **notes: str) -> str:
     """Write a network (batch normalisation folded) and notes about its training; returns the file's SHA-256.
 
-    With `ranges` (see `airline.training.ranges`) it can run in 8-bit numbers.
+    With `ranges` (see `airline.network.unet.measure_ranges`) it can run in 8-bit numbers.
     """
     from safetensors.torch import save
 
