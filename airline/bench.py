@@ -75,11 +75,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def load_pictures(paths: Sequence[Path], size: tuple[int, int]) -> list[NDArray[np.uint8]]:
-    """Grey pictures of one (width, height).
-
-    Raises:
-        InputError: an image cannot be read.
-    """
+    """Grey pictures of one (width, height); InputError where an image cannot be read."""
     import cv2
 
     if paths:
@@ -145,11 +141,7 @@ def as_text(figures: dict[str, Any]) -> str:
 
 
 def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple[int, int], rounds: int) -> str:
-    """Measure over sizes around `size` and over pictures of that size, draw both, and give a table of the sizes.
-
-    Raises:
-        AirLineError: an image cannot be read, the picture not be written, or matplotlib is missing.
-    """
+    """Measure over sizes around `size` and over pictures of that size, draw both, and give a table of the sizes."""
     from airline.evaluation.plots import COLOURS, new_axes, save
 
     curves = {

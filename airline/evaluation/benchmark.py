@@ -120,12 +120,9 @@ class Tally:
 
 
 def measure(samples: Iterable[Sample], ours: Detect) -> Figures:
-    """All figures of a detector, with LSD's in the same run: the two take turns on every image.
+    """All figures of a detector, with LSD's in the same run: the two take turns on every image; raises InputError.
 
     Views and noise are drawn from the position of the image in the data set, so they are the same in every run.
-
-    Raises:
-        InputError: an image cannot be read.
     """
     detectors = {"ours": ours, "lsd": lsd()}
     tallies = {name: Tally() for name in (*detectors, "lsd_prepared")}
@@ -152,11 +149,7 @@ def measure(samples: Iterable[Sample], ours: Detect) -> Figures:
 
 
 def measure_files(samples: Iterable[Sample], folder: Path) -> Figures:
-    """Scores of lines that another detector wrote as text files, one per image, in the format of `read_lines`.
-
-    Raises:
-        InputError: a file is missing or malformed, or an image cannot be read.
-    """
+    """Scores of lines that another detector wrote as text files, one per image, see `read_lines`; raises InputError."""
     tally = Tally()
     for sample in samples:
         tally.add(read_lines(folder / f"{sample.path.stem}.txt"), sample, sample.read().shape)

@@ -46,8 +46,7 @@ class PixelScores:
 def draw(segments: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """(H, W) mask of one-pixel-wide lines through (N, 2, 2) segments, px.
 
-    End points are rounded to whole pixels (halves to even): published scores were made so, and half a point of LP0
-    hangs on it.
+    End points are rounded to whole pixels (halves to even), as for published scores.
     """
     canvas = np.zeros(shape, np.uint8)
     cv2.polylines(canvas, list(np.rint(segments).astype(np.int32)), isClosed=False, color=1)
@@ -73,9 +72,7 @@ def pixel_scores(
     dense: NDArray[np.floating],
     shape: tuple[int, int],
 ) -> PixelScores:
-    """Scores of the segments of one image.
-
-    Nothing detected has full precision and no recall; nothing annotated is fully recalled.
+    """Scores of the segments of one image; nothing detected has full precision, nothing annotated is fully recalled.
 
     Args:
         segments: (N, 2, 2) detections, px.
@@ -122,8 +119,8 @@ class PairScores:
 def random_view(rng: np.random.Generator, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Homography]:
     """Another view of a (H, W) grey image under other light, and the (3, 3) homography from image to view.
 
-    The view is turned by up to 15 degrees, scaled by 0.8 to 1.25, and each of its corners moved by up to a tenth of
-    the image; its light has a random gamma and gain. The mirrored surroundings of the image fill it up.
+    It is turned by up to 15 degrees, scaled by 0.8 to 1.25, each corner moved by up to a tenth of the image, with a
+    random gamma and gain. The mirrored surroundings of the image fill it up.
     """
     height, width = image.shape
     frame = corners(image.shape)
@@ -139,16 +136,10 @@ def random_view(rng: np.random.Generator, image: NDArray[np.uint8]) -> tuple[NDA
 
 
 def compare(image_lines: Lines, view_lines: Lines, homography: Homography, shape: tuple[int, int]) -> PairScores:
-    """Match the lines of an image and of a view of it.
+    """Match (N, 2, 2) lines of an image and (M, 2, 2) lines of a view of it, px; both have the same (height, width).
 
     Lines are cut to the area that both see and measured in the image; of those that keep 10 px, pairs are matched
     one to one, the nearest first, when distance, overlap and angle allow. Without lines the repeatability is 0.
-
-    Args:
-        image_lines: (N, 2, 2) px, in the image.
-        view_lines: (M, 2, 2) px, in the view.
-        homography: (3, 3), from image to view.
-        shape: (height, width) of both.
     """
     inverse = np.linalg.inv(homography)
     seen = clip(image_lines, warp(corners(shape), inverse)), clip(view_lines, warp(corners(shape), homography))
@@ -182,7 +173,7 @@ def measure_pairs(first: Lines, second: Lines) -> tuple[NDArray[np.float64], NDA
     """(N, M) distances (px), overlaps and absolute cosines of all pairs of (N, 2, 2) and (M, 2, 2) lines.
 
     The distance is the mean of the four distances of an end point to the other's infinite line; the overlap the share
-    of a line that the other covers along it, mean of both lines (the measures of SOLD2, Pautrat et al. 2021).
+    of a line that the other covers along it, mean of both (the measures of SOLD2, Pautrat et al. 2021).
     """
     distance_a, overlap_a = _project(second, first)
     distance_b, overlap_b = _project(first, second)

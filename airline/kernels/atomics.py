@@ -1,13 +1,12 @@
-"""Atomic operations on int32 in compiled code, and waiting that spins instead of sleeping.
+"""Atomic operations on int32 in compiled code, waiting that spins instead of sleeping, and work in phases.
 
-Waking a thread that sleeps takes 50 to 300 microseconds, a tenth of the time for an image. So threads spin, and yield
-the core each time, for as long as the next piece of work is likely to come.
+Waking a thread that sleeps takes 50 to 300 microseconds, a tenth of the time for an image: so threads spin, and yield
+the core each time.
 
-Threads can go through the phases of a piece of work in compiled code, and wait for no one to start. Each phase needs
-the one before, and has parts. Whoever comes takes parts that nobody has: thread k of n begins with the k-th share of a
-phase, so that it finds in its cache what it made itself, and then helps the others. A phase is over when all its parts
-are done; a thread that comes late finds nothing left to do. `marks` are (phases, parts + 1) int32, zeros at first: of
-each phase how many parts are done, and whether each is taken.
+Threads go through the phases of a piece of work, and wait for no one to start. Each phase needs the one before, and has
+parts. Thread k of n begins with the k-th share of a phase, so that it finds in its cache what it made itself, and then
+helps the others; one that comes late finds nothing left to do. `marks` are (phases, parts + 1) int32, zeros at first:
+of each phase how many parts are done, and whether each is taken.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ def wait_for_all(flags, spins):  # type: ignore[no-untyped-def]
 
 @njit()
 def set_and_watch(flag, number, before, spins, grace):  # type: ignore[no-untyped-def]
-    """Set a flag; then whether a number, `before` so far, changes before we have spun so often; both (1,) int32.
+    """Set a flag; then whether a number, `before` so far, changes within so many spins; both (1,) int32.
 
     Where it changes, we go on for `grace` spins.
     """

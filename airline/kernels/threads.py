@@ -65,11 +65,9 @@ class _Call:
         self._ends: SimpleQueue[None] = SimpleQueue()  # to sleep for, if need be
 
     def take_parts(self) -> NDArray[np.int32]:
-        """Do parts until none is left: the caller does those that no other thread has time for.
+        """Do parts until none is left.
 
-        Returns:
-            (1,) the flag of our last part, which whoever called us sets: then the caller knows that all of ours are
-            done.
+        Returns (1,) the flag of our last part, which the caller sets: then it is known that all of ours are done.
         """
         flag = np.zeros(1, np.int32)
         while True:

@@ -43,7 +43,7 @@ class EdgeNetwork(Protocol):
 
 
 def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads: int | None = None) -> EdgeNetwork:
-    """Load the edge network.
+    """Load the edge network; raises WeightsError, and ConfigError where the runtime is not here or does not take it.
 
     Args:
         weights: name of bundled weights, path of a file written by `airline.train`, or a network itself, for torch.
@@ -51,10 +51,6 @@ def open_network(weights: str | Path | UNet, runtime: Runtime = "auto", threads:
             float32), "torch" (float32 on the CPU), "cuda" (half precision), or "auto": CUDA where there is such a
             device, else the first of these that is here and fits the processor and the network.
         threads: how many of the processor's cores "native" and OpenVINO work on; all by default.
-
-    Raises:
-        WeightsError: the weights are missing, damaged or made for another network.
-        ConfigError: the runtime is not here, or cannot take these weights.
     """
     if runtime == "auto":
         runtime = _best(weights)

@@ -17,8 +17,8 @@ from airline.network.weights import Ranges
 class UNet(nn.Module):
     """U-Net (Ronneberger et al. 2015) with additive skips, from a normalised grey image to edge logits.
 
-    Activations at full resolution, not parameters, decide the time on a CPU; so the image is folded into channels
-    first (pixel unshuffle) and the logits are unfolded at the end, and skips are added instead of concatenated.
+    Activations at full resolution decide the time on a CPU; so the image is folded into channels first (pixel
+    unshuffle) and the logits are unfolded at the end.
     """
 
     def __init__(self, spec: UNetSpec, norm: bool = False) -> None:
@@ -36,14 +36,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(widths[0], spec.unshuffle**2, 1)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Edge logits of normalised images.
-
-        Args:
-            image: (B, 1, H, W) float, zero mean and unit variance; H and W multiples of `spec.stride`.
-
-        Returns:
-            (B, 1, H, W) logits.
-        """
+        """(B, 1, H, W) edge logits of (B, 1, H, W) normalised float images; H and W are multiples of `spec.stride`."""
         x = nn.functional.pixel_unshuffle(image, self.spec.unshuffle)
         x = torch.cat([x, *self._smoothed(x)], dim=1)
         skips = []
@@ -64,14 +57,7 @@ class UNet(nn.Module):
         return [2 * copy for copy in copies[1:]]
 
     def answer(self, gray: torch.Tensor) -> torch.Tensor:
-        """Edge logits of grey images as they are: any range, any size.
-
-        Args:
-            gray: (B, 1, H, W) float32 grey levels.
-
-        Returns:
-            (B, 1, H, W) logits, numbers of the weights' kind.
-        """
+        """(B, 1, H, W) edge logits, of the weights' kind, of (B, 1, H, W) float32 grey levels of any range and size."""
         height, width = gray.shape[2:]
         beyond = (0, -width % self.spec.stride, 0, -height % self.spec.stride)
         padded = nn.functional.pad(normalise(gray), beyond, mode="replicate")
@@ -119,7 +105,7 @@ IMAGES = 0.95  # in so many of the images: one odd image must not take the other
 def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:
     """Least and largest input of each convolution but the first, by its name, over most of some (H, W) uint8 images.
 
-    `net` has its normalisation folded.
+    Inference in 8-bit numbers must know them. `net` has its normalisation folded.
     """
     found: dict[str, list[tuple[float, float]]] = {}
 

@@ -33,8 +33,7 @@ class RenderedView:
         depth: (H, W) float32 distance along the optical axis, m; inf where there is sky.
         segments_px: (N, 2, 2) float32 visible pieces of lines, px.
         segments_world: (N, 2, 3) float64 the same end points in space, m.
-        ids: (N,) int64 the physical line each piece belongs to, the same over the whole clip; an outline of a pipe
-            keeps its id although it moves over the pipe with the camera.
+        ids: (N,) int64 the physical line (or outline of a pipe) of each piece, the same over the whole clip.
         K: (3, 3) float64 intrinsic matrix, px.
         pose: (4, 4) float64 world_from_camera; camera x right, y down, z forward.
         stamp_ns: time since the sequence's start, ns.
@@ -144,8 +143,7 @@ def render_scene(
 ) -> tuple[NDArray[np.float32], RenderedView]:
     """The clean view of a scene from `pose` (world_from_camera) by a camera with square pixels; see `RenderedClip`.
 
-    Returns:
-        (H, W, 3) float32 linear BGR image, and the view at time 0 with that image under a plain display curve.
+    Returns (H, W, 3) float32 linear BGR, and the view at time 0 with that image under a plain display curve.
     """
     focal, centre, (cx, cy) = K[0, 0], K[:2, 2], K[:2, 2]
     rotation = np.ascontiguousarray(pose[:3, :3].T)

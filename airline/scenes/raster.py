@@ -2,9 +2,8 @@
 
 A pixel's ray d = K^-1 (x, y, 1) meets the face origin + a u + b v at depth z where d = (a u + b v + origin) / z in
 camera coordinates. With M = [u v origin], M^-1 d = (a, b, 1) / z: three functions that are affine in the pixel's
-position, of which the third is the inverse depth and the first two give the texture position. The face covers the
-pixel where 0 <= a/z <= 1/z and 0 <= b/z <= 1/z, so that no clipping is needed (Olano and Greer, "Triangle scan
-conversion using 2D homogeneous coordinates", 1997).
+position. The face covers the pixel where 0 <= a/z <= 1/z and 0 <= b/z <= 1/z, so that no clipping is needed (Olano and
+Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997).
 
 Edges are anti-aliased by four samples per pixel on a rotated grid; texture is filtered by mip levels instead.
 """
@@ -41,11 +40,7 @@ def project_faces(
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Faces that look at the camera and may touch the image of a (width, height).
 
-    Returns:
-        faces: (M,) rows.
-        inverse: (M, 3, 3) M^-1 in camera coordinates.
-        bounds: (M, 4) x0, y0, x1, y1, px.
-        depths: (M,) nearest depth, m.
+    Returns (M,) rows, (M, 3, 3) M^-1 in camera coordinates, (M, 4) bounds x0, y0, x1, y1, px, (M,) nearest depths, m.
     """
     o, u, v = to_camera(scene.origins, rotation, translation), *(to_camera(a, rotation) for a in (scene.u, scene.v))
     normal = np.cross(u, v)
@@ -182,17 +177,12 @@ def _shade_span(functions, material, texture, bank, f, start, stop, x_offset, y,
 
 @njit()
 def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, width, height):  # type: ignore[no-untyped-def]
-    """Linear-light image and depth.
-
-    The image is drawn in bands of rows, whose buffers stay in the processor's cache.
+    """(H, W, 3) float32 linear BGR and (H, W) float32 depth in m (inf: sky), in bands of rows that stay in the cache.
 
     Args:
-        functions, bounds: (M, 3, 3) and (M, 4) of the faces in view, as above; samples: (S, 2) offsets in a pixel, px.
+        functions, bounds: (M, 3, 3) and (M, 4) of the faces in view; samples: (S, 2) offsets in a pixel, px.
         material: (M, 13) float32 rows of `Scene.materials`; texture: (M,) int32; bank: (T * STRIDE,) uint8.
         sky_map: (3,) height c0 x + c1 y + c2 of a pixel's ray above the horizon; sky: (2, 3) float32 colours.
-
-    Returns:
-        (H, W, 3) float32 linear BGR, (H, W) float32 depth in m (inf: sky).
     """
     image = np.zeros((height, width, 3), np.float32)
     depth = np.empty((height, width), np.float32)
@@ -232,10 +222,7 @@ def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, widt
 
 @njit()
 def _blend_pixel(functions, material, texture, bank, samples, faces, sky, x, y, out, depth):  # type: ignore[no-untyped-def]
-    """A pixel whose samples see several `faces` (S,): each is looked up once, inside itself, weighted by its samples.
-
-    Its depth is that of the nearest face. `faces` is overwritten.
-    """
+    """A pixel whose samples see several `faces` (S,), which are overwritten; its depth is that of the nearest."""
     nearest = 0.0
     for s in range(len(faces)):
         f = faces[s]

@@ -13,14 +13,9 @@ CELL = 32.0  # px, side of the cells in which end points are looked up
 
 
 def join_collinear(moments: NDArray[np.float64], config: FitConfig) -> NDArray[np.int64]:
-    """Join collinear neighbours, longest first.
+    """Join collinear neighbours of (P, 10) float64 parts, longest first; parts that others became one with are changed.
 
-    Args:
-        moments: (P, 10) float64 parts; those that others became one with are changed.
-        config: how far apart they may be.
-
-    Returns:
-        (P,) int64 the part that each part became one with, itself for most.
+    Returns (P,) int64 the part that each part became one with, itself for most.
     """
     owner = np.arange(len(moments))
     if config.max_gap > 0 and len(moments):

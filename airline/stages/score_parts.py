@@ -31,11 +31,7 @@ def score_parts(moments, owner, support, scores, start, end):  # type: ignore[no
 
 @njit()
 def line_score(support, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
-    """Score of one line, `mean strength * length / (length + SHORT)`.
-
-    Of the scores tried on held-out photographs and rendered scenes, in good light and in the dark, it told true lines
-    from false ones best; the strength alone trusts short lines too much.
-    """
+    """Score of one line, `mean strength * length / (length + SHORT)`: strength alone trusts short lines too much."""
     length = np.hypot(x1 - x0, y1 - y0)
     return np.float32(min(1.0, strength(support, x0, y0, x1, y1, room) * length / (length + SHORT)))
 
@@ -87,14 +83,9 @@ SHARE = 0.25  # of a line's length that each end may move on: what a short line 
 
 @njit()
 def extend_ends(moments, owner, support, max_reach, start, end):  # type: ignore[no-untyped-def]
-    """Move the end points of the surviving parts among `start` to `end` to where the edge map falls to half the line's
-    mean.
+    """Move the end points of the surviving parts among `start` to `end` to where the map falls to half the line's mean.
 
-    Args:
-        moments: (P, 10) float64 parts, whose end points are changed.
-        owner: (P,) int64 the part that each became one with.
-        support: (H, W) float32 edge map.
-        max_reach: px.
+    `moments` are (P, 10) float64, `owner` (P,) int64 (see `join_collinear`), `support` (H, W) float32, `max_reach` px.
     """
     height, width = support.shape
     room = room_for_samples(support)

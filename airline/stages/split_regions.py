@@ -53,8 +53,7 @@ def split_regions(
     """Fit every region, cutting the bent ones.
 
     Of two parts the later one along the line is cut and fitted first, while the other waits. Where as many wait as may,
-    the region is a patch of texture that crumbles from one end: cut on, it would give a swarm of short straight lines
-    that are none. So no more cuts are made there, and what is uncut goes by its score.
+    the region is texture that would crumble into a swarm of short straight lines: no more cuts are made there.
 
     Args:
         positions: (M, 2) of all pixels, px.
@@ -152,9 +151,7 @@ def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
-    """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
-    are left out.
-    """
+    """The pixel farthest from the chord of the outermost two, but for `MARGIN` at each end; -1: `max_deviation` holds."""
     x, y, along = points[0], points[1], points[3]
     first, last = 0, 0
     for k in range(size - 1, -1, -1):

@@ -72,9 +72,7 @@ def random_crop(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
     """A randomly turned, scaled, mirrored crop of a sample under random light.
 
-    Returns:
-        (size, size) uint8 image, (size, size) float32 soft edge map, (size, size) bool mask of the pixels that lie
-        inside the photograph.
+    (size, size) each: uint8 image, float32 soft edge map, bool mask of the pixels that lie inside the photograph.
     """
     height, width = sample.gray.shape
     scale = float(np.exp(rng.uniform(np.log(0.7), np.log(1.5))))
@@ -150,10 +148,7 @@ def _draw(segments, shares, target):  # type: ignore[no-untyped-def]
 def pixel_weights(
     target: NDArray[np.float32], inside: NDArray[np.bool_], weight: float, radius: int
 ) -> NDArray[np.float32]:
-    """How much each pixel counts: `(1 - w) + w * dilate_r(Y > 0)` (equation 1 of the AirLine paper).
-
-    Pixels within `radius` of a line weigh 1, the others 1 - w, so that false positives far from any line cost little
-    and edges stay continuous. Pixels outside the photograph weigh nothing.
+    """How much each pixel counts: `(1 - w) + w * dilate_r(Y > 0)` (equation 1 of the AirLine paper), outside nothing.
 
     Args:
         target: (H, W) soft edge map Y.

@@ -83,13 +83,7 @@ def find_device(name: str) -> torch.device:
 
 
 def edge_loss(logits: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Weighted mean of the binary cross entropy with soft targets, a scalar.
-
-    Args:
-        logits: (B, 1, H, W) predictions before the sigmoid.
-        target: (B, 1, H, W) in [0, 1].
-        weights: (B, 1, H, W) of `pixel_weights`.
-    """
+    """Weighted mean binary cross entropy with soft targets; all (B, 1, H, W), logits before the sigmoid."""
     total = functional.binary_cross_entropy_with_logits(logits.float(), target, weights, reduction="sum")
     return total / weights.sum()
 
@@ -97,16 +91,9 @@ def edge_loss(logits: torch.Tensor, target: torch.Tensor, weights: torch.Tensor)
 def train(
     state: State, crops: Crops, schedule: Schedule, after_step: Callable[[float], bool] = lambda loss: False
 ) -> None:
-    """Train from where `state` stands to the end of the schedule.
+    """Train from where `state` stands to the end of the schedule; ConfigError if the loss is no finite number any more.
 
-    Args:
-        state: changed in place.
-        crops: what to learn from.
-        schedule: how long, and how fast.
-        after_step: called with the loss after every step; True stops the training, ready to go on later.
-
-    Raises:
-        ConfigError: the loss is no finite number any more.
+    `after_step` is called with the loss after every step; True stops the training, ready to go on later.
     """
     net, optimiser, device = state.net, state.optimiser, state.device
     started = time.monotonic() - state.seconds

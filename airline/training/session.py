@@ -34,11 +34,7 @@ DAMAGE = (OSError, EOFError, LookupError, RuntimeError, TypeError, ValueError, p
 
 
 def save(state: State, settings: Settings, finished: bool, path: Path) -> None:
-    """Write a checkpoint; an older one is replaced only when the new one is complete.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write a checkpoint, complete or not at all; InputError where that fails."""
     content = {
         "settings": dict(settings),
         "finished": finished,
@@ -55,11 +51,7 @@ def save(state: State, settings: Settings, finished: bool, path: Path) -> None:
 
 
 def restore(state: State, settings: Settings, path: Path) -> None:
-    """Bring a fresh state to where the checkpoint stands; nothing happens where there is none.
-
-    Raises:
-        InputError: the file is damaged, or made with settings under which this training cannot go on from it.
-    """
+    """Bring a fresh state to where the checkpoint, if any, stands; InputError if it is damaged or does not fit."""
     if not path.exists():
         return
     content = _read(path)
@@ -130,11 +122,7 @@ class Session:
     sheets: Path
 
     def run(self, state: State, crops: Crops) -> bool:
-        """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it before.
-
-        Raises:
-            AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
-        """
+        """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it; raises AirLineError."""
         restore(state, self.settings, self.checkpoint)
         console, steps = Console(stderr=True), f"/{self.schedule.steps}" if self.schedule.steps else ""
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()

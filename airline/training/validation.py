@@ -43,10 +43,7 @@ class Validation:
         self._crops = {kind: [each.at(step) for step in range(BATCHES)] for kind, each in own.items()}
 
     def measure(self, net: UNet, device: torch.device) -> dict[str, tuple[float, PixelScores]]:
-        """By kind of sample, the mean loss on fixed crops, and scores of the detector's lines against trusted labels.
-
-        The network is as before afterwards.
-        """
+        """By kind of sample: mean loss on fixed crops, and scores of the detector's lines against trusted labels."""
         plain = _folded(net, device)
         detector, found = _detector(plain), {}
         for kind, samples in self._kinds.items():
@@ -58,11 +55,7 @@ class Validation:
         return found
 
     def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
-        """A picture of three photographs and a scene (four photographs where there are no scenes).
-
-        Raises:
-            InputError: it cannot be written.
-        """
+        """A picture of three photographs and a scene (four photographs without scenes); raises InputError."""
         photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
         few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
         detector = _detector(_folded(net, device))

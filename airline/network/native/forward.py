@@ -1,8 +1,7 @@
 """The network from the image to the edge map, as phases of `airline.kernels.atomics`.
 
 The first phase is the input; then comes a level after the other on the way down, each with the largest of each four
-pixels for the next; then on the way up, and the last phase writes the edge map. Sources and targets are addresses;
-strides and what lies `apart` are in bytes.
+pixels for the next; then on the way up. Sources and targets are addresses; strides and what lies `apart` are in bytes.
 """
 
 from __future__ import annotations
@@ -44,13 +43,12 @@ def take_image(gray, mean, blocks, copies, columns, marks, who, threads):  # typ
 
 @njit()
 def run_layers(isa, levels, layers, shares, zeros, scratch, edges, marks, who, threads):  # type: ignore[no-untyped-def]
-    """Our share of the others.
+    """Our share of the others; fills `edges`, (H, W) float32.
 
     Args:
         isa: see `airline.network.runtimes`.
         levels, layers, scratch: see `airline.network.native.network.Memory`.
         shares, zeros: see `airline.network.native.quantise.Quantised`.
-        edges: (H, W) float32, which is filled.
         marks: see `airline.kernels.atomics`.
         who, threads: which thread of how many.
     """
@@ -143,13 +141,11 @@ def _convolve(isa, kind, layer, turn, source, target, apart, columns):  # type: 
     """A row of a convolution.
 
     Args:
-        isa: see `airline.network.runtimes`.
         kind: of answer, see `airline.network.native.microkernels`.
         layer: (6,) int64 row of the table.
         turn: which of the layer's lists of terms to take.
         source: what the terms are added to for the first pixel.
-        target: of the answer's first group, or plane of floats.
-        apart: from a group or plane to the next.
+        target, apart: of the answer's first group, or plane of floats, and from it to the next.
         columns: how many pixels; what is written beyond them, up to the next whole tile, means nothing.
     """
     outputs = len(kind[0])

@@ -25,11 +25,10 @@ from airline.network.weights import load_ranges, load_weights
 
 @dataclass(frozen=True)
 class Memory:
-    """Maps, and the tables that tell the compiled code where all is.
+    """Where the maps lie for one size of image, and the tables that tell the compiled code.
 
     Attributes:
-        blocks: (rows + 2, stride) uint32, see `fill_rows`.
-        copies: (groups, rows + 2, stride, 2) int16, see there.
+        blocks, copies: see `fill_rows`.
         pixels: the first layer, whose factors and offsets depend on the image.
         smoothed: its share of smoothed copies, whose factors do.
         levels: (levels, 8) int64, see `airline.network.native.forward`.
@@ -50,13 +49,7 @@ class Memory:
 
 
 def lay_out(quantised: Quantised, rows: int, columns: int, threads: int) -> Memory:
-    """Memory for a network.
-
-    Args:
-        quantised: its layers.
-        rows, columns: of the finest level; multiples of 2 to the number of coarser ones.
-        threads: how many work on it.
-    """
+    """Memory for a network whose finest level has such rows and columns, and for so many threads."""
     kept: list[NDArray[Any]] = []
 
     def address(array: NDArray[Any]) -> int:
@@ -125,11 +118,8 @@ PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that 
 class NativeNetwork:
     """A U-Net in 8-bit numbers, but for smoothed copies of the image, which are 16-bit numbers; see `EdgeNetwork`.
 
-    Images of 16 bits become ones of 8, where 255 grey levels are ten standard deviations at most.
-
-    Raises:
-        WeightsError: the weights cannot be used.
-        ConfigError: the processor lacks the instructions, or the network is of another kind.
+    Images of 16 bits become ones of 8. Raises WeightsError, and ConfigError where the processor lacks the instructions
+    or the network is of another kind.
     """
 
     name = "native int8"

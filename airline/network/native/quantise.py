@@ -57,8 +57,7 @@ def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges:
     """Whole numbers for a network.
 
     Args:
-        spec, weights: see `airline.network.weights.load_weights`.
-        ranges: see `airline.network.weights.load_ranges`.
+        spec, weights, ranges: see `airline.network.weights`.
         largest: of the 8-bit weights, at most 127.
     """
     layers, last = _Layers(weights, largest), spec.levels - 1
@@ -108,8 +107,7 @@ class _Layers:
     ) -> Layer:
         """A layer of 8-bit numbers, `block` channels of which are answered at once, of all inputs or the first ones.
 
-        `unit` and `zero` are what 1 of its input stands for, and which input stands for zero; `answer` and
-        `answer_zero` the same of its output.
+        `unit` and `zero`: what 1 of its input stands for, and which input stands for zero; `answer...`: of its output.
         """
         kernel, bias = self.weights[f"{name}.weight"][:, :inputs], self.weights[f"{name}.bias"]
         steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / self.largest
