@@ -60,7 +60,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def read_lines(path: Path) -> NDArray[np.float64]:
-    """(N, 2, 2) segments of a text file, px: a line `x0 y0 x1 y1` per row, further columns ignored; raises InputError."""
+    """(N, 2, 2) segments of a text file, px: a line `x0 y0 x1 y1` per row, more columns ignored; raises InputError."""
     if not path.is_file():
         raise InputError(f"no line file {path}: write one per image, empty where there are no lines")
     try:

@@ -67,10 +67,7 @@ def coverage(mask: NDArray[np.bool_], distance: NDArray[np.float32], radius: flo
 
 
 def pixel_scores(
-    segments: NDArray[np.floating],
-    sparse: NDArray[np.floating],
-    dense: NDArray[np.floating],
-    shape: tuple[int, int],
+    segments: NDArray[np.floating], sparse: NDArray[np.floating], dense: NDArray[np.floating], shape: tuple[int, int]
 ) -> PixelScores:
     """Scores of the segments of one image; nothing detected has full precision, nothing annotated is fully recalled.
 

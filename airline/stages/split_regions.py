@@ -151,7 +151,7 @@ def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
-    """The pixel farthest from the chord of the outermost two, but for `MARGIN` at each end; -1: `max_deviation` holds."""
+    """The pixel farthest from the chord of the outermost two, `MARGIN` at each end left out; -1 where it bends less."""
     x, y, along = points[0], points[1], points[3]
     first, last = 0, 0
     for k in range(size - 1, -1, -1):
