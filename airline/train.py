@@ -22,9 +22,8 @@ from airline.network.unet import UNet, measure_ranges
 from airline.network.weights import save_unet
 from airline.training.crops import Crops
 from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_samples, render_samples
-from airline.training.loop import Schedule, State, find_device
+from airline.training.loop import Schedule, State, Validation, find_device, split
 from airline.training.session import Session
-from airline.training.validation import Validation, split
 
 log = logging.getLogger("airline.train")
 

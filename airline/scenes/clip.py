@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
+from airline.kernels.threads import map_ahead
 from airline.scenes import raster, visibility
 from airline.scenes.builder import Scene
 from airline.scenes.camera import CLEAN, MOTIONS, CameraEffects, blur_rotation, develop, exposure_at, pose_at
@@ -169,11 +168,4 @@ def render_scene(
 
 def render_clip(sequence: RenderedClip, workers: int = 2) -> Iterator[RenderedView]:
     """All frames in order, rendered ahead in `workers` threads: the same bits as iterating, sooner."""
-    with ThreadPoolExecutor(workers) as pool:
-        ahead: deque[Future[RenderedView]] = deque()
-        for i in range(len(sequence)):
-            ahead.append(pool.submit(sequence.render, i))
-            if len(ahead) > 2 * workers:
-                yield ahead.popleft().result()
-        while ahead:
-            yield ahead.popleft().result()
+    return map_ahead(sequence.render, range(len(sequence)), workers)

@@ -79,12 +79,9 @@ def _house(at: Place, width: float, rng: np.random.Generator) -> None:
     pale = max(face.high) < 0.6 or rng.random() < 0.2
     frame = finish(rng, "plaster", colour(rng, (0.75, 0.95) if pale else (0.06, 0.2), (0, 0.2)), 0.6, 0.05)
     glass = finish(rng, "patches", colour(rng, (0.05, 0.16) if pale else (0.35, 0.6), (0.1, 0.4)), 1.5, 0.3)
-    panes, bar, depth = (
-        (int(rng.integers(1, 3)), int(rng.integers(1, 3))),
-        rng.uniform(0.06, 0.1),
-        rng.uniform(0.1, 0.25),
-    )
-    style = WindowStyle(glass, frame, *panes, bar, depth, casing=rng.choice([0.0, 0.12]))
+    columns, rows = int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    bar, depth, casing = rng.uniform(0.06, 0.1), rng.uniform(0.1, 0.25), rng.choice([0.0, 0.12])
+    style = WindowStyle(glass, frame, columns, rows, bar, depth, casing)
     columns = max(2, round(width / rng.uniform(2.2, 3.3)))
     pitch = width / columns
     w, h = pitch * rng.uniform(0.42, 0.6), storey * rng.uniform(0.42, 0.6)

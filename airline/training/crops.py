@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections import deque
 from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +14,7 @@ from kornia.filters import get_motion_kernel2d
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.kernels.threads import map_ahead
 from airline.network.unet import normalise
 from airline.training.dataset import Sample
 
@@ -56,15 +55,7 @@ class Crops:
 
     def ahead(self, first: int, workers: int = 1) -> Generator[Batch, None, None]:
         """Batches from step `first` on, without end; threads make them ahead, and their number changes nothing."""
-        with ThreadPoolExecutor(workers) as pool:
-            waiting = deque(pool.submit(self.at, first + k) for k in range(2 * workers + 1))
-            try:
-                for step in itertools.count(first + len(waiting)):
-                    yield waiting.popleft().result()
-                    waiting.append(pool.submit(self.at, step))
-            finally:
-                for batch in waiting:
-                    batch.cancel()
+        return map_ahead(self.at, itertools.count(first), workers)
 
 
 def random_crop(

@@ -21,8 +21,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from airline.errors import InputError
 from airline.training.crops import Crops
-from airline.training.loop import Schedule, State, train
-from airline.training.validation import Validation
+from airline.training.loop import Schedule, State, Validation, train
 
 log = logging.getLogger("airline.train")
 
