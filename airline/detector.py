@@ -166,6 +166,6 @@ def compile_last_steps() -> None:
     moments = np.array([[*sums, x[0], y[0], x[-1], y[-1]]])
     support, descriptors = np.ones((24, 24), np.float32), np.eye(6, dtype=np.float32)[np.zeros(count, int)]
     rows, bounds, merged = np.arange(count), np.array([[0, count]]), np.zeros(1, np.int64)
-    lines, _ = TotalLeastSquaresFitter().choose(support, descriptors, rows, bounds, moments, merged)
+    lines, _ = TotalLeastSquaresFitter().choose(support, descriptors, (rows, bounds, moments), merged)
     assert len(lines) == 1
     ImageRefiner().refine(lines, support.astype(np.uint8))

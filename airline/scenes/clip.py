@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from airline.errors import ConfigError
 from airline.kernels.threads import map_ahead
 from airline.scenes import raster, visibility
-from airline.scenes.builder import Scene
+from airline.scenes.builder import Array, Scene
 from airline.scenes.camera import CLEAN, MOTIONS, CameraEffects, blur_rotation, develop, exposure_at, pose_at
 from airline.scenes.rooms import indoor_scene, shelves_scene
 from airline.scenes.street import street_scene
@@ -41,10 +41,10 @@ class RenderedView:
     image: NDArray[np.uint8]
     depth: NDArray[np.float32]
     segments_px: NDArray[np.float32]
-    segments_world: NDArray[np.float64]
+    segments_world: Array
     ids: NDArray[np.int64]
-    K: NDArray[np.float64]
-    pose: NDArray[np.float64]
+    K: Array
+    pose: Array
     stamp_ns: int
 
 
@@ -91,13 +91,13 @@ class RenderedClip:
         return (self.render(i) for i in range(self.frames))
 
     @property
-    def K(self) -> NDArray[np.float64]:  # noqa: N802
+    def K(self) -> Array:  # noqa: N802
         """(3, 3) float64 intrinsic matrix, px; the focal length is part of what the seed chooses."""
         width, height = self.size
         focal = width * np.random.default_rng([self.seed, 3]).uniform(0.65, 0.9)
         return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
 
-    def pose(self, i: float) -> NDArray[np.float64]:
+    def pose(self, i: float) -> Array:
         """(4, 4) float64 world_from_camera of frame `i`; fractions are times between frames."""
         return pose_at(build_scene(self.kind, self.seed).walk, MOTIONS[self.motion], self.seed, i / FRAMES_PER_SECOND)
 
@@ -115,7 +115,7 @@ class RenderedClip:
         exposure = exposure_at(self.effects, self.seed, i / FRAMES_PER_SECOND)
         return replace(clean, image=develop(blurred, exposure, self.effects, self.seed, i), stamp_ns=stamp)
 
-    def _turns(self, effects: CameraEffects, i: int) -> list[NDArray[np.float64]]:
+    def _turns(self, effects: CameraEffects, i: int) -> list[Array]:
         """Rotations of the camera while the shutter is open around frame i: about one for every 1.5 px of motion."""
         half = effects.motion_blur / 2
         centre = self.pose(i)[:3, :3]
@@ -133,12 +133,7 @@ def build_scene(kind: str, seed: int) -> Scene:
 
 
 def render_scene(
-    scene: Scene,
-    pose: NDArray[np.float64],
-    K: NDArray[np.float64],
-    size: tuple[int, int],
-    min_contrast: float,
-    merge_doubles: bool = True,
+    scene: Scene, pose: Array, K: Array, size: tuple[int, int], min_contrast: float, merge_doubles: bool = True
 ) -> tuple[NDArray[np.float32], RenderedView]:
     """The clean view of a scene from `pose` (world_from_camera) by a camera with square pixels; see `RenderedClip`.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
-from airline.scenes.builder import Scene
+from airline.scenes.builder import Array, Scene
 from airline.scenes.textures import LEVELS, SIZE, STRIDE
 
 NEAR = 0.05  # m
@@ -22,22 +22,15 @@ BAND = 32  # rows
 SAMPLES = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 
 
-def to_camera(
-    vectors: NDArray[np.float64], rotation: NDArray[np.float64], translation: NDArray[np.float64] | float = 0.0
-) -> NDArray[np.float64]:
+def to_camera(vectors: Array, rotation: Array, translation: Array | float = 0.0) -> Array:
     """World vectors (..., 3) in camera coordinates; every element is computed alike, whatever the array's shape."""
     x, y, z = np.moveaxis(vectors, -1, 0)[..., None]
     return np.asarray(translation + rotation[:, 0] * x + rotation[:, 1] * y + rotation[:, 2] * z)
 
 
 def project_faces(
-    scene: Scene,
-    rotation: NDArray[np.float64],
-    translation: NDArray[np.float64],
-    focal: float,
-    centre: NDArray[np.float64],
-    size: tuple[int, int],
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    scene: Scene, rotation: Array, translation: Array, focal: float, centre: Array, size: tuple[int, int]
+) -> tuple[NDArray[np.intp], Array, Array, Array]:
     """Faces that look at the camera and may touch the image of a (width, height).
 
     Returns (M,) rows, (M, 3, 3) M^-1 in camera coordinates, (M, 4) bounds x0, y0, x1, y1, px, (M,) nearest depths, m.
@@ -60,7 +53,7 @@ def project_faces(
     return faces, inverse, np.concatenate([low, high], axis=1)[faces], np.maximum(near, NEAR)[faces]
 
 
-def pixel_functions(inverse: NDArray[np.float64], focal: float, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+def pixel_functions(inverse: Array, focal: float, centre: Array) -> Array:
     """(M, 3, 3) float64: a/z, b/z and 1/z of each face as c0 x + c1 y + c2 of the pixel's position."""
     c0, c1, c2 = np.moveaxis(inverse, -1, 0)
     return np.stack([c0 / focal, c1 / focal, c2 - (c0 * centre[0] + c1 * centre[1]) / focal], axis=-1)
@@ -253,9 +246,7 @@ def _add_sky(sky_map, sky, start, stop, y, weight, out):  # type: ignore[no-unty
             out[x, c] += weight * (sky[0, c] + rise * (sky[1, c] - sky[0, c]))
 
 
-def sky_function(
-    world_from_camera: NDArray[np.float64], focal: float, centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sky_function(world_from_camera: Array, focal: float, centre: Array) -> Array:
     """(3,) float64: twice the height of a pixel's ray (z = 1) above the horizon, as c0 x + c1 y + c2."""
     up = 2 * world_from_camera[2, :3]
     return np.array([up[0] / focal, up[1] / focal, up[2] - (up[0] * centre[0] + up[1] * centre[1]) / focal])

@@ -8,9 +8,9 @@ is one interval per face, found by clipping; no depth buffer and no sampling is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.scenes.builder import Array
 from airline.scenes.raster import NEAR
 
 BEHIND = 2e-3  # m behind a face before it hides: a line lies on its own faces
@@ -19,9 +19,7 @@ SIDE = 1.5  # px from the line at which its two sides are compared
 MERGE = 1.5  # px: closer parallel lines are one line to any observer
 
 
-def pipe_outlines(
-    pipes: NDArray[np.float64], radii: NDArray[np.float64], centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def pipe_outlines(pipes: Array, radii: Array, centre: Array) -> Array:
     """(C, 2, 2, 3) float64: per pipe the two lines where rays from `centre` (3,) graze it (NaN from inside)."""
     axis = pipes[:, 1] - pipes[:, 0]
     axis /= np.sqrt(np.sum(axis**2, axis=1, keepdims=True))

@@ -15,15 +15,15 @@ from airline.lines import LineSet
 from airline.stages.join_collinear import join_collinear
 from airline.stages.pixels import EdgePixels
 from airline.stages.score_parts import extend_ends, line_scores, score_parts
-from airline.stages.split_regions import residual, split_regions
+from airline.stages.split_regions import Parts, residual, split_regions
+
+Fitted = tuple[LineSet, NDArray[np.int32]]  # lines, and (M,) the line of each pixel, -1 for none
 
 
 class LineFitter(Protocol):
     """Turns regions of edge pixels into segments."""
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
         """The N lines of the regions, and (M,) int32 the line of each pixel, -1 for none.
 
         Args:
@@ -47,32 +47,25 @@ class TotalLeastSquaresFitter:
     config: FitConfig = field(default_factory=FitConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
         parts = split_regions(edge.positions, edge.weights, order, offsets, self.config.max_deviation, self.team)
         merged = join_collinear(parts[2], self.config)
-        return self.choose(edge.support, descriptors, *parts, merged)
+        return self.choose(edge.support, descriptors, parts, merged)
 
     def choose(
-        self,
-        support: NDArray[np.float32],
-        descriptors: NDArray[np.float32],
-        rows: NDArray[np.int64],
-        bounds: NDArray[np.int64],
-        moments: NDArray[np.float64],
-        merged: NDArray[np.int64],
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+        self, support: NDArray[np.float32], descriptors: NDArray[np.float32], parts: Parts, merged: NDArray[np.int64]
+    ) -> Fitted:
         """The second half of `fit`: end points, scores, and which parts are lines.
 
         Args:
             support: (H, W) the edge map.
             descriptors: (M, C) of all pixels.
-            rows, bounds, moments: of `split_regions`; the end points are changed.
+            parts: of `split_regions`; their end points are changed.
             merged: of `join_collinear`.
         """
+        rows, bounds, moments = parts
         config, scores = self.config, np.empty(len(moments), np.float32)
 
         def extend_and_score(start: int, end: int) -> None:
@@ -93,9 +86,7 @@ class PaperFitter:
     where it opposes the sum so far. The end points are the projection of the farthest pixel, to both sides.
     """
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
         segments = _paper_fit(edge.positions, order, offsets)

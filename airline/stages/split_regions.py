@@ -13,6 +13,8 @@ from airline.kernels.compiled import njit
 from airline.kernels.threads import ALONE, ThreadTeam
 
 MARGIN = 4  # pixels at each end of a region at which it is not cut
+# (K,) rows of pixels, those of a part together; (P, 2) where each part begins and ends among them; (P, 10) the parts
+Parts = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 WAITING = 63  # parts of a region that are not fitted yet, at most; see `split_regions`
 
 
@@ -49,7 +51,7 @@ def split_regions(
     offsets: NDArray[np.int64],
     max_deviation: float,
     team: ThreadTeam = ALONE,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+) -> Parts:
     """Fit every region, cutting the bent ones.
 
     Of two parts the later one along the line is cut and fitted first, while the other waits. Where as many wait as may,
@@ -61,10 +63,6 @@ def split_regions(
         order, offsets: the pixels of each region, see `airline.stages.fit.group`.
         max_deviation: px, see `FitConfig`.
         team: threads that share the work.
-
-    Returns:
-        (K,) int64 rows of the pixels, those of a part together, (P, 2) int64 where each part begins and ends among
-        them, and (P, 10) float64 the parts.
     """
     rows, begins = order[offsets[0] :].copy(), offsets - offsets[0]
 
