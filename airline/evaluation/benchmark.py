@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from airline.evaluation.dataset import Sample, read_lines
 from airline.evaluation.metrics import RADII, PairScores, PixelScores, compare, mean, pixel_scores, random_view
 
+VIEWS = 3  # per image
+
 Image = NDArray[np.uint8]
+Lines = NDArray[np.floating]
+Detect = Callable[[Image], Lines]  # (H, W) grey image to (N, 2, 2) px
+Figures = dict[str, Any]  # as the command's JSON has them
 
 
 @dataclass(frozen=True)
@@ -67,13 +72,6 @@ BAD_LIGHT = {
     "blur": BadLight(motion_blur, sigma=2, amount=0.5, gain=1),
     "bright": BadLight(overexpose, sigma=1.5, amount=1, gain=0.6),
 }
-
-
-VIEWS = 3  # per image
-
-Lines = NDArray[np.floating]
-Detect = Callable[[Image], Lines]  # (H, W) grey image to (N, 2, 2) px
-Figures = dict[str, Any]  # as the command's JSON has them
 
 
 @dataclass

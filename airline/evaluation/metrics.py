@@ -10,6 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_DISTANCE = 3.0  # px
+MIN_OVERLAP = 0.5
+MAX_ANGLE = np.deg2rad(30.0)
+MIN_LENGTH = 10.0  # px in the common area
+BEST = 50  # matches that count for the localisation
 RADII = (0, 1, 2, 3, 5, 10)
 
 
@@ -89,12 +94,6 @@ def mean(scores: Sequence[PixelScores]) -> PixelScores:
     lp = np.mean([s.lp for s in scores], axis=0).tolist()
     return PixelScores(tuple(lp), *np.mean([(s.p1, s.r1, s.p2, s.r2) for s in scores], axis=0).tolist())
 
-
-MAX_DISTANCE = 3.0  # px
-MIN_OVERLAP = 0.5
-MAX_ANGLE = np.deg2rad(30.0)
-MIN_LENGTH = 10.0  # px in the common area
-BEST = 50  # matches that count for the localisation
 
 Lines = NDArray[np.floating]
 Homography = NDArray[np.floating]

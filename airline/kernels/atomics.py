@@ -20,6 +20,9 @@ from numba.core.extending import intrinsic as numba_intrinsic
 
 from airline.kernels.compiled import njit
 
+PATIENCE = 2000  # spins before other programs may have the core
+
+
 intrinsic: Any = numba_intrinsic  # its type would be that of the emitting function, not of what numba makes of it
 
 _I32 = ir.IntType(32)
@@ -99,9 +102,6 @@ def set_and_watch(flag, number, before, spins, grace):  # type: ignore[no-untype
     for _ in range(grace if spins else 0):
         sched_yield()
     return spins > 0
-
-
-PATIENCE = 2000  # spins before other programs may have the core
 
 
 @njit(inline="always")

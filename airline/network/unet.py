@@ -13,6 +13,9 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from airline.network.spec import UNetSpec
 from airline.network.weights import Ranges
 
+BEYOND = 1e-5  # share of an image's numbers that may lie beyond a range, on either side,
+IMAGES = 0.95  # in so many of the images: one odd image must not take the others' precision
+
 
 class UNet(nn.Module):
     """U-Net (Ronneberger et al. 2015) with additive skips, from a normalised grey image to edge logits.
@@ -96,10 +99,6 @@ def _block(inputs: int, outputs: int, convs: int, norm: bool) -> nn.Sequential:
             layers.append(nn.BatchNorm2d(outputs))
         layers.append(nn.ReLU(inplace=True))
     return nn.Sequential(*layers)
-
-
-BEYOND = 1e-5  # share of an image's numbers that may lie beyond a range, on either side,
-IMAGES = 0.95  # in so many of the images: one odd image must not take the others' precision
 
 
 def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:

@@ -12,10 +12,9 @@ from airline.config import FitConfig
 from airline.kernels.compiled import njit
 from airline.kernels.threads import ALONE, ThreadTeam
 from airline.lines import LineSet
-from airline.stages.join_collinear import join_collinear
+from airline.stages.parts import Parts, join_collinear, residual, split_regions
 from airline.stages.pixels import EdgePixels
 from airline.stages.score_parts import extend_ends, line_scores, score_parts
-from airline.stages.split_regions import Parts, residual, split_regions
 
 Fitted = tuple[LineSet, NDArray[np.int32]]  # lines, and (M,) the line of each pixel, -1 for none
 

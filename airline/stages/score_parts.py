@@ -7,6 +7,9 @@ import numpy as np
 from airline.kernels.compiled import njit
 from airline.kernels.sampling import into_image, place_samples, sum_samples
 
+FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian
+STEP = 0.5  # px
+SHARE = 0.25  # of a line's length that each end may move on: what a short line adds is mostly chance
 SHORT = 10.0  # px, the length at which a line of full strength scores 1/2
 
 
@@ -74,11 +77,6 @@ def bilinear(image, x, y):  # type: ignore[no-untyped-def]
     right, below = min(column + 1, width - 1), min(row + 1, height - 1)
     top = (1 - fx) * image[row, column] + fx * image[row, right]
     return (1 - fy) * top + fy * ((1 - fx) * image[below, column] + fx * image[below, right])
-
-
-FALL = 0.8  # px beyond its end where a ridge has fallen to half its height: 0.5 if binary, 1 if Gaussian
-STEP = 0.5  # px
-SHARE = 0.25  # of a line's length that each end may move on: what a short line adds is mostly chance
 
 
 @njit()

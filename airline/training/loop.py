@@ -25,6 +25,12 @@ from airline.stages.edges import UNetEdges
 from airline.training.crops import Batch, Crops, draw_labels
 from airline.training.dataset import Sample
 
+MAX_PHOTOGRAPHS = 60
+TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
+SEED = 12345  # of the crops for the loss
+BATCHES = 4  # of them
+PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -127,13 +133,6 @@ def train(
                 raise ConfigError(f"the loss is {value} at step {state.step}: start again with another --seed")
             if after_step(value):
                 break
-
-
-MAX_PHOTOGRAPHS = 60
-TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
-SEED = 12345  # of the crops for the loss
-BATCHES = 4  # of them
-PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
 
 
 def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:

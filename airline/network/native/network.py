@@ -22,6 +22,9 @@ from airline.network.runtimes import vector_instructions
 from airline.network.spec import SIZES, UNetSpec
 from airline.network.weights import load_ranges, load_weights
 
+FARTHEST = 5.0  # deviations from the mean that an image of 16 bits keeps
+PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
+
 
 @dataclass(frozen=True)
 class Memory:
@@ -109,10 +112,6 @@ def _square(layer: Layer, apart: int, stride: int, rows: tuple[int, ...]) -> lis
 def _point(layer: Layer, apart: int) -> list[int]:
     """Terms of a 1x1 convolution."""
     return [group * apart for group in range(layer.weights.shape[1])]
-
-
-FARTHEST = 5.0  # deviations from the mean that an image of 16 bits keeps
-PARTS = 8  # of a phase: few enough to be worth a step, enough for threads that do not start together
 
 
 class NativeNetwork:
