@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from airline.scenes.textures import texture_index
 
 Array = NDArray[np.float64]
+Rng = np.random.Generator
 Vec = Sequence[float] | Array  # of three
 PIPE_SIDES = 20
 TOUCHING = 1e-3  # m: closer lines are one
@@ -131,13 +132,7 @@ class Place:
         return Place(self.scene, np.array(origin, float), np.array(along, float), np.array((-along[1], along[0], 0.0)))
 
     def quad(
-        self,
-        corner: Vec,
-        u: Vec,
-        v: Vec,
-        material: Material,
-        edges: str = "btlr",
-        shift: tuple[float, float] = (0.0, 0.0),
+        self, corner: Vec, u: Vec, v: Vec, material: Material, edges: str = "btlr", shift: tuple[float, float] = (0, 0)
     ) -> None:
         """Add a parallelogram; `edges` names its sides that are lines: bottom and top along u, left and right along v.
 
@@ -218,13 +213,13 @@ class SceneBuilder:
         )
 
 
-def colour(rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float]) -> Array:
+def colour(rng: Rng, value: tuple[float, float], saturation: tuple[float, float]) -> Array:
     """A random linear BGR colour with brightness and saturation within bounds."""
     hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
     return np.asarray(v * (1 - s * np.clip(np.abs((hue + np.array([2.0, 4.0, 0.0])) % 6 - 3) - 1, 0, 1)))
 
 
-def finish(rng: np.random.Generator, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
+def finish(rng: Rng, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
     """A material whose colours lie around `base`, apart by the relative `contrast`."""
     texture, base = texture_index(name, int(rng.integers(100))), np.asarray(base)
     return Material(texture, base * (1 - contrast), np.minimum(1, base * (1 + contrast)), tile)

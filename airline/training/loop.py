@@ -152,8 +152,7 @@ class Validation:
 
     def measure(self, net: UNet, device: torch.device) -> dict[str, tuple[float, PixelScores]]:
         """By kind of sample: mean loss on fixed crops, and scores of the detector's lines against trusted labels."""
-        plain = _folded(net, device)
-        detector, found = _detector(plain), {}
+        (plain, detector), found = _ready(net, device), {}
         for kind, samples in self._kinds.items():
             scores = []
             for sample in samples:
@@ -166,7 +165,7 @@ class Validation:
         """A picture of three photographs and a scene (four photographs without scenes); raises InputError."""
         photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
         few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
-        detector = _detector(_folded(net, device))
+        _, detector = _ready(net, device)
         if not cv2.imwrite(str(path), np.concatenate([_sheet_row(sample, detector) for sample in few])):
             raise InputError(f"cannot write {path}: make room, or give an --out elsewhere")
 
@@ -200,12 +199,9 @@ def _panel(gray: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
     return panel
 
 
-def _folded(net: UNet, device: torch.device) -> UNet:
+def _ready(net: UNet, device: torch.device) -> tuple[UNet, AirLine]:
+    """The network for inference, and a detector with it; `net` stays as it is."""
     training = net.training
     plain: UNet = net.folded().to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     net.train(training)  # folding looks at batch normalisation in evaluation mode
-    return plain
-
-
-def _detector(plain: UNet) -> AirLine:
-    return AirLine(edges=UNetEdges(plain, "cuda" if plain.head.weight.is_cuda else "torch"))
+    return plain, AirLine(edges=UNetEdges(plain, "cuda" if device.type == "cuda" else "torch"))
