@@ -1,4 +1,7 @@
-"""How fast the detector is, beside OpenCV's LSD in the same run: `python -m airline.bench`."""
+"""How fast the detector is, beside OpenCV's LSD in the same run: `python -m airline.bench`.
+
+`--cost FILE.png` draws the time over the size of the image and, at one size, over the number of lines.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from itertools import chain, islice, repeat
+from itertools import chain, islice, product, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +27,10 @@ if TYPE_CHECKING:
 PICTURES = 10  # of the built-in clip, far apart
 SPACING = 12  # frames between them
 WARM_UP = 3
+# of the picture of the cost: sizes, relative to the one that is asked for; kinds and seeds of scenes with few and with
+# many lines
+FACTORS = (0.5, 1, 1.5, 2, 3)
+SCENES = [*product(("indoor", "street", "shelves"), range(12, 18))]
 
 
 def build_parser() -> Parser:
@@ -63,18 +70,12 @@ def run(options: argparse.Namespace) -> None:
     figures = {"preset": options.preset, "runtime": name, "size": size, **figures}
     print(as_text(figures))
     if options.cost is not None:
-        from airline.evaluation.cost import draw_cost
-
         print(draw_cost(options.cost, detector, options.images, options.size, options.rounds))
     write_json(options.json, figures)
 
 
 def load_pictures(paths: Sequence[Path], size: tuple[int, int]) -> list[NDArray[np.uint8]]:
-    """Grey pictures of one (width, height).
-
-    Raises:
-        InputError: an image cannot be read.
-    """
+    """Grey pictures of one (width, height); InputError where an image cannot be read."""
     import cv2
 
     if paths:
@@ -137,6 +138,55 @@ def as_text(figures: dict[str, Any]) -> str:
     table += [f"{name:12}{median:10.2f}{p95:10.2f}" for name, median, p95 in rows]
     table.append(f"LSD takes {figures['ratio_lsd']:.2f} times as long as the detector")
     return "\n".join([*table, f"many images at once (detect_batch): {figures['batch_fps']:.0f} images/s"])
+
+
+def draw_cost(path: Path, detector: AirLine, images: Sequence[Path], size: tuple[int, int], rounds: int) -> str:
+    """Measure over sizes around `size` and over pictures of that size, draw both, and give a table of the sizes."""
+    from airline.evaluation.plots import COLOURS, new_axes, save
+
+    curves = {
+        "lsd_ms": (COLOURS[1], "s", "OpenCV LSD"),
+        "total_ms": (COLOURS[0], "o", "AirLine"),
+        "rest_ms": (COLOURS[2], "^", "of that, the stages after the network"),
+    }
+    figure, (left, right) = new_axes(("image size, megapixels", "time, LSD = 1"), ("lines in a picture", ""))
+    sizes = [(round(factor * size[0]), round(factor * size[1])) for factor in FACTORS]
+    over_sizes = [_cost_of(detector, load_pictures(images, each), rounds) for each in sizes]
+    singles = load_pictures(images, size) if images else _scenes(size)
+    over_lines = [_cost_of(detector, [picture], 3 * rounds) for picture in singles]
+    unit = float(np.median([point["lsd_ms"] for point in over_lines]))
+    for axes, points, place in ((left, over_sizes, "megapixels"), (right, over_lines, "lines")):
+        for key, (colour, marker, name) in curves.items():
+            x, y = [point[place] for point in points], [point[key] / unit for point in points]
+            line = "-" if axes is left else "none"  # pictures with as many lines are not alike
+            axes.plot(x, y, linestyle=line, color=colour, marker=marker, label=name)
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+    left.legend(fontsize=8)
+    save(figure, path)
+    rows = ["size       lines  network ms  other stages ms   LSD ms  LSD / ours"]
+    for (width, height), point in zip(sizes, over_sizes, strict=True):
+        total, rest, lsd = (point[key] for key in ("total_ms", "rest_ms", "lsd_ms"))
+        row = f"{f'{width}x{height}':10}{point['lines']:6.0f}{total - rest:12.2f}{rest:17.2f}{lsd:9.2f}"
+        rows.append(f"{row}{lsd / total:12.2f}")
+    return "\n".join([*rows, f"wrote {path}"])
+
+
+def _scenes(size: tuple[int, int]) -> list[NDArray[Any]]:
+    """Grey pictures with few and with many lines."""
+    import cv2
+
+    from airline.scenes import RenderedClip
+
+    views = (RenderedClip(kind, "handheld", seed, frames=8, size=size).render(0) for kind, seed in SCENES)
+    return [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in views]
+
+
+def _cost_of(detector: AirLine, pictures: Sequence[NDArray[Any]], rounds: int) -> dict[str, Any]:
+    """Figures of `measure`, with megapixels and the median of the stages after the network, ms."""
+    figures = measure(detector, pictures, rounds)
+    rest = figures["total_ms"] - figures["stage_ms"]["edges"]
+    return {**figures, "megapixels": pictures[0].size / 1e6, "rest_ms": rest}
 
 
 def _limit_cores(threads: int | None) -> None:

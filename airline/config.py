@@ -148,10 +148,7 @@ _PRESETS = {
 
 def preset(name: str) -> DetectorConfig:
     """Settings by name: "default", "fast" and "accurate" for a smaller and a larger network, or "paper" for the paper's
-    scheme, repaired as docs/detector.md says.
-
-    Raises:
-        ConfigError: no such preset.
+    scheme, repaired as docs/detector.md says; raises ConfigError for any other.
     """
     if name not in _PRESETS:
         raise ConfigError(f"no preset named '{name}': use one of {', '.join(PRESETS)}")

@@ -59,7 +59,7 @@ class AirLine:
         runtime: Runtime = "auto",
         threads: int | None = None,
     ) -> None:
-        """Build the detector.
+        """Build the detector; raises ConfigError and WeightsError.
 
         Args:
             preset: "default", "fast", "accurate" or "paper".
@@ -68,10 +68,6 @@ class AirLine:
             runtime: what the U-Net runs in: "auto", "native", "openvino", "torch", "cuda": see `open_network`.
             threads: how many cores the U-Net (but for torch and CUDA) and the stages after it take; all by default, as
                 is best for one image at a time.
-
-        Raises:
-            ConfigError: a setting is unknown or out of range, or the runtime is not here.
-            WeightsError: the weights cannot be used.
         """
         config = settings_of(preset) if config is None else config
         selection = config.edges
@@ -91,13 +87,10 @@ class AirLine:
         self.refiner = ImageRefiner(config.refine, team)
 
     def __call__(self, image: ArrayLike) -> LineSet:
-        """Line segments of an image.
+        """Line segments of an image; raises InputError.
 
         Args:
             image: (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA; uint8 or uint16; any size.
-
-        Raises:
-            InputError: the array is no such image.
         """
         return self.trace(image).lines
 
@@ -107,10 +100,7 @@ class AirLine:
         return self.trace_edges(edges, gray, edges_ms)
 
     def detect_edges(self, image: ArrayLike) -> tuple[Gray, NDArray[np.float32], float]:
-        """The first stage: the grey image, its (H, W) edge probability, and the milliseconds that took.
-
-        `trace_edges` takes these; arguments and errors as for calling.
-        """
+        """The grey image, its (H, W) edge probability, and the milliseconds that took: what `trace_edges` takes."""
         gray = to_gray(image)
         started = time.perf_counter()
         edges = self.edges.detect(gray)
@@ -143,16 +133,10 @@ class AirLine:
         return Trace(edges, selected.pixels, selected.positions, descriptors, labels, lines, spent)
 
     def detect_batch(self, images: Iterable[ArrayLike]) -> Iterator[LineSet]:
-        """Line segments of many images, in order, for work that is not live.
+        """Line segments of many images of any sizes, in order, for work that is not live; raises InputError.
 
         The edge detector takes one image after the other in a thread of its own; the other stages work on one image for
-        every two cores at once. Images are taken as they are needed; they may differ in size.
-
-        Args:
-            images: each as for calling.
-
-        Raises:
-            InputError: an array is no image; the results before it have come out.
+        every two cores at once. Images are taken as they are needed.
         """
 
         def lines_of(detected: Future[tuple[Gray, NDArray[np.float32], float]]) -> LineSet:
@@ -172,3 +156,16 @@ class AirLine:
             finally:
                 behind.shutdown(wait=False, cancel_futures=True)
                 ahead.shutdown(wait=False, cancel_futures=True)
+
+
+def compile_last_steps() -> None:
+    """Compile the line fit's second half, on one made-up part, and the refinement, beside the process that detects."""
+    count = 12
+    x, y = np.arange(count) + 3.0, np.full(count, 4.0)
+    sums = [np.sum(values) for values in (np.ones(count), x, y, x * x, x * y, y * y)]
+    moments = np.array([[*sums, x[0], y[0], x[-1], y[-1]]])
+    support, descriptors = np.ones((24, 24), np.float32), np.eye(6, dtype=np.float32)[np.zeros(count, int)]
+    rows, bounds, merged = np.arange(count), np.array([[0, count]]), np.zeros(1, np.int64)
+    lines, _ = TotalLeastSquaresFitter().choose(support, descriptors, (rows, bounds, moments), merged)
+    assert len(lines) == 1
+    ImageRefiner().refine(lines, support.astype(np.uint8))

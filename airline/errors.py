@@ -1,8 +1,4 @@
-"""Errors that a user can cause.
-
-Each message is one sentence that says what is wrong and what to do about it. The command line prints it and exits
-with code 2; a library caller catches `AirLineError` and never sees a foreign exception for bad input.
-"""
+"""Errors that a user can cause: each message is one sentence that says what is wrong and what to do about it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,11 +22,7 @@ class WeightsError(AirLineError):
 
 @contextmanager
 def from_extra(extra: str) -> Iterator[None]:
-    """Around the import of what an extra of this package brings along.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Around the import of what an extra of this package brings along; raises ConfigError where it is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:

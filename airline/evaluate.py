@@ -16,8 +16,13 @@ from airline.config import PRESETS, RUNTIMES
 from airline.errors import ConfigError
 
 if TYPE_CHECKING:
-    from airline.evaluation.benchmark import Detect
+    from rich.table import Table
 
+    from airline.evaluation.benchmark import Detect, Figures
+
+PIXELS = ("p2", "r2", "f2")  # all detectors have them, in any light
+LINES = {"lines": 1, "repeatability": 3, "localisation": 3, "ms": 1}  # decimals
+TITLES = {"localisation": "localisation, px", "ms": "median ms"}
 LEGEND = """\
 LPr: share of the sparsely annotated pixels within r px of a detection, %;
   it is a recall, so read it beside P2.
@@ -60,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
     """Evaluate, print the tables and write the JSON; raises AirLineError."""
     from rich.console import Console
 
-    from airline.evaluation import ablation, benchmark, tables
+    from airline.evaluation import ablation, benchmark
     from airline.evaluation.dataset import load_dataset
 
     given = [name for name in ("ablate", "predictions", "preset", "weights", "runtime") if getattr(options, name)]
@@ -71,14 +76,16 @@ def run(options: argparse.Namespace) -> None:
     console, legend = Console(width=110 if options.ablate else None), LEGEND
     if options.ablate:
         rows, legend = ablation.measure_variants(shown), ablation.LEGEND
-        printed, figures = [tables.ablation(rows)], {"rows": [{"name": name, **rows[name]} for name in rows]}
+        decimals = {**dict.fromkeys(PIXELS, 1), "lines": 0, "ms": 1}
+        printed = [_table("Ablation, %", rows, decimals, {"ms": "ms"})]
+        figures = {"rows": [{"name": name, **rows[name]} for name in rows]}
     elif options.predictions is not None:
         figures = benchmark.measure_files(shown, options.predictions)
-        printed = tables.tables(options.predictions.resolve().name, figures)
+        printed = tables(options.predictions.resolve().name, figures)
     else:
         figures = benchmark.measure(shown, _detector(options))
         name = "AirLine" if options.preset in (None, "default") else f"AirLine, {options.preset}"
-        printed = tables.tables(name, figures)
+        printed = tables(name, figures)
     for table in printed:
         console.print(table)
     console.print(legend, highlight=False)
@@ -96,6 +103,40 @@ def _detector(options: argparse.Namespace) -> Detect:
         config = msgspec.structs.replace(config, edges=msgspec.structs.replace(config.edges, weights=options.weights))
     detector = AirLine(config=config, runtime=options.runtime or "auto")
     return lambda image: detector(image).segments
+
+
+def tables(name: str, figures: Figures) -> list[Table]:
+    """What was measured of the detector `name`, and of LSD where that ran beside it."""
+    rivals = {name: figures} | ({"LSD": figures["lsd"]} if "lsd" in figures else {})
+    found = [
+        _table("Scores, %", rivals, dict.fromkeys((*PIXELS, "f1"), 1)),
+        _table("Lines per image", rivals, {key: n for key, n in LINES.items() if key in figures}, lp=False),
+    ]
+    if "bad_light" in figures:
+        rows = {}
+        for light, scores in figures["bad_light"].items():
+            entries = {name: scores, "LSD": scores["lsd"], "LSD, prepared": scores["lsd_prepared"]}
+            rows.update({f"{light}: {row}": entry for row, entry in entries.items()})
+        found.append(_table("Bad light, %", rows, dict.fromkeys(PIXELS, 1), lp=False))
+    return found
+
+
+def _table(
+    title: str, rows: dict[str, Figures], decimals: dict[str, int], titles: dict[str, str] = TITLES, lp: bool = True
+) -> Table:
+    """Figures by name; what a row lacks is a dash."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    radii = [*next(iter(rows.values()))["lp"]] if lp else []
+    names = (titles.get(key, key.upper() if key in (*PIXELS, "f1") else key) for key in decimals)
+    for column in (*(f"LP{radius}" for radius in radii), *names):
+        table.add_column(column, justify="right")
+    for name, figures in rows.items():
+        values = [(figures["lp"][radius], 1) for radius in radii] + [(figures[key], n) for key, n in decimals.items()]
+        table.add_row(name, *("-" if value is None else f"{value:.{n}f}" for value, n in values))
+    return table
 
 
 if __name__ == "__main__":

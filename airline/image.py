@@ -20,10 +20,7 @@ def to_gray(image: ArrayLike) -> Gray:
         image: (H, W), (H, W, 1), (H, W, 3) BGR or (H, W, 4) BGRA; uint8 or uint16.
 
     Returns:
-        (H, W) C-contiguous array of the same dtype.
-
-    Raises:
-        InputError: another shape or dtype, or no pixels.
+        (H, W) C-contiguous array of the same dtype; raises InputError for other arrays and for no pixels.
     """
     array = np.asarray(image)
     if array.dtype not in (np.uint8, np.uint16):

@@ -18,14 +18,12 @@ from airline.command import EXIT_USER_ERROR, Parser, StderrHandler, number
 from airline.errors import AirLineError, InputError
 from airline.evaluation.dataset import list_images
 from airline.network.spec import SPECS
-from airline.network.unet import UNet
+from airline.network.unet import UNet, measure_ranges
 from airline.network.weights import save_unet
 from airline.training.crops import Crops
 from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_samples, render_samples
-from airline.training.loop import Schedule, State, find_device
-from airline.training.ranges import measure_ranges
+from airline.training.loop import Schedule, State, Validation, find_device, split
 from airline.training.session import Session
-from airline.training.validation import Validation, split
 
 log = logging.getLogger("airline.train")
 

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from airline import AirLine
-from airline.evaluation.benchmark import lsd
-from airline.evaluation.light import BAD_LIGHT
+from airline.evaluation.benchmark import BAD_LIGHT, lsd
 from airline.scenes import RenderedClip
 from viz.overlay import draw_lines
 

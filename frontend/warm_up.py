@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.detector import AirLine
+from airline.detector import AirLine, compile_last_steps
 from airline.kernels.threads import cores
 from airline.lines import LineSet
-from airline.warm_up import compile_last_steps
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig

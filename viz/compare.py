@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code
 from airline.errors import InputError
-from airline.evaluation.repeatability import MAX_ANGLE, MAX_DISTANCE, MIN_OVERLAP, measure_pairs
+from airline.evaluation.metrics import MAX_ANGLE, MAX_DISTANCE, MIN_OVERLAP, measure_pairs
 from frontend.colours import track_colours
 from frontend.tracking.assignment import assign
 from frontend.tracks import LineTracks

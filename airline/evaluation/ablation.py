@@ -67,11 +67,7 @@ def edge_detectors() -> dict[str, EdgeDetector]:
 
 
 def measure_variants(samples: Iterable[Sample]) -> dict[str, Figures]:
-    """Figures per row of the table; all rows share the edge maps of an image.
-
-    Raises:
-        InputError: an image cannot be read.
-    """
+    """Figures per row of the table; all rows share the edge maps of an image. Raises InputError."""
     edges, find = edge_detectors(), lsd()
     rows = {name: back_end(config, edges.get(name, edges["default"])) for name, config in VARIANTS.items()}
     rows["Hough transform"] = hough_transform(AirLine(edges=edges["default"]).pixels)

@@ -41,12 +41,7 @@ class Sample:
 def load_dataset(folder: Path, limit: int | None = None) -> list[Sample]:
     """Samples of a folder with `images/`, `lines_denis/` (sparse) and `lines_cho/` (dense), sorted by name.
 
-    Args:
-        folder: every `images/NAME.*` has a `NAME.txt` in both other folders.
-        limit: use only the first so many images.
-
-    Raises:
-        InputError: a folder or file is missing or malformed, or there are no images.
+    Every `images/NAME.*` has a `NAME.txt` in both others. Raises InputError where one is missing or malformed.
     """
     images, sparse, dense = (folder / name for name in ("images", "lines_denis", "lines_cho"))
     for part in (images, sparse, dense):
@@ -65,11 +60,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def read_lines(path: Path) -> NDArray[np.float64]:
-    """(N, 2, 2) segments of a text file, px: one line per row, `x0 y0 x1 y1`; further columns are ignored.
-
-    Raises:
-        InputError: the file is missing or malformed.
-    """
+    """(N, 2, 2) segments of a text file, px: a line `x0 y0 x1 y1` per row, more columns ignored; raises InputError."""
     if not path.is_file():
         raise InputError(f"no line file {path}: write one per image, empty where there are no lines")
     try:

@@ -49,11 +49,8 @@ class Evaluation(Scores, frozen=True):
 def read_rivals(paths: list[Path]) -> dict[str, Scores]:
     """Scores by name: ours and LSD's of the first file, and those of the further files under their stems.
 
-    The machine is not equally fast from run to run: times of the further files are scaled so that LSD, which ran beside
-    each, took as long as in the first one.
-
-    Raises:
-        InputError: a file cannot be used, two have one name, or the first one lacks LSD or the times.
+    Times of the further files are scaled so that LSD, which ran beside each, took as long as in the first one. Raises
+    InputError where a file cannot be used, two have one name, or the first one lacks LSD or the times.
     """
     ours, *others = (_read(path) for path in paths)
     if ours.lsd is None or ours.ms is None or ours.lsd.ms is None:
@@ -112,11 +109,7 @@ def draw_performance(rivals: dict[str, Scores]) -> Figure:
 
 
 def new_axes(*labels: tuple[str, str]) -> tuple[Figure, list[Axes]]:
-    """An empty figure with axes side by side, for each its labels (x, y).
-
-    Raises:
-        ConfigError: matplotlib is missing.
-    """
+    """An empty figure with axes side by side, for each its labels (x, y); ConfigError where matplotlib is missing."""
     with from_extra("plots"):
         from matplotlib.figure import Figure
     figure = Figure(figsize=(2.5 + 4 * len(labels), 4.2), layout="constrained")

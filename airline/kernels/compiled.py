@@ -27,8 +27,8 @@ _warned = False
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with `OPTIONS`, more of them, and a cache; where there is no folder for it, a warning.
 
-    Fast-math functions are inlined into their callers: LLVM orders the sums of each copy in its own way, and which of
-    several copies a process calls would depend on whether it has compiled them or found them in the cache.
+    Fast-math functions are inlined into their callers: LLVM orders the sums of each copy in its own way, and which copy
+    a process calls would depend on whether it has compiled it or found it in the cache.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -47,8 +47,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 class _Location(CompileResultCacheImpl):
     """numba's folder for a function, and in it one for all sources as they are now.
 
-    numba notices changes of a function's own file, but not of functions in other files that are compiled into it. With
-    a folder of their own, new sources can never meet old code, not even if writing was cut off half-way.
+    numba notices changes of a function's own file, but not of functions in other files that are compiled into it.
     """
 
     def __init__(self, function: Any) -> None:

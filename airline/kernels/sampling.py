@@ -1,8 +1,8 @@
 """Bilinear interpolation at many places along lines at once.
 
-Each step is a loop over all samples without a branch, which compiles to SIMD instructions: three times as fast as one
-sample after the other. Between the steps the samples are in `places`, (S,) int32 index of the pixel to the upper left
-in the flat image, and in `work`, (2 S,) float32 fractions of a pixel, all of x before those of y.
+Each step is a loop over all samples without a branch, which compiles to SIMD instructions. Between the steps the
+samples are in `places`, (S,) int32 index of the pixel to the upper left in the flat image, and in `work`, (2 S,)
+float32 fractions of a pixel, all of x before those of y.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ FIRST, SECOND, THIRD = np.uint32(8), np.uint32(16), np.uint32(24)
 
 @njit()
 def pack_neighbours(image):  # type: ignore[no-untyped-def]
-    """(H, W) uint8 image to (H * W,) uint32: each pixel in the lowest byte, then those to its right, below, and both.
-
-    The last row and column hold nothing.
-    """
+    """(H, W) uint8 image to (H * W,) uint32: each pixel in the lowest byte, then right, lower, lower right ones."""
     height, width = image.shape
     packed = np.empty((height, width), np.uint32)
     for y in range(height - 1):
@@ -33,10 +30,7 @@ def pack_neighbours(image):  # type: ignore[no-untyped-def]
 
 @njit(fastmath={"contract"})
 def place_samples(width, height, x, y, dx, dy, first, count, places, work):  # type: ignore[no-untyped-def]
-    """Put samples `first` to `first + count` at (x, y) + k (dx, dy), float32 px; what is outside moves to the border.
-
-    The image is at least two pixels wide and high.
-    """
+    """Put samples `first` to `first + count` at (x, y) + k (dx, dy), float32 px, moved into the image."""
     right, bottom = np.float32(width - 1), np.float32(height - 1)
     last_column, last_row = np.int32(width - 2), np.int32(height - 2)
     stride, second = np.int32(width), np.uint64(len(places))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 from queue import Empty, SimpleQueue
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from airline.kernels.atomics import set_and_watch, wait_for_all
 
+Item = TypeVar("Item")
 T = TypeVar("T")
 MOST = 4  # threads: the work takes a few milliseconds, and more cost more than they do
 SPINS = 2000  # for the next piece of work, or for its end; some hundred nanoseconds each
@@ -27,6 +30,22 @@ def cores() -> int:
     if given.isdecimal() and int(given):
         return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def map_ahead(work: Callable[[Item], T], items: Iterable[Item], threads: int) -> Generator[T, None, None]:
+    """`work(item)` of each item, in order, done ahead in so many threads; closing it drops what has not begun."""
+    with ThreadPoolExecutor(threads) as pool:
+        ahead: deque[Future[T]] = deque()
+        try:
+            for item in items:
+                ahead.append(pool.submit(work, item))
+                if len(ahead) > 2 * threads:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            for result in ahead:
+                result.cancel()
 
 
 class ThreadTeam:
@@ -65,11 +84,9 @@ class _Call:
         self._ends: SimpleQueue[None] = SimpleQueue()  # to sleep for, if need be
 
     def take_parts(self) -> NDArray[np.int32]:
-        """Do parts until none is left: the caller does those that no other thread has time for.
+        """Do parts until none is left.
 
-        Returns:
-            (1,) the flag of our last part, which whoever called us sets: then the caller knows that all of ours are
-            done.
+        Returns (1,) the flag of our last part, which the caller sets: then it is known that all of ours are done.
         """
         flag = np.zeros(1, np.int32)
         while True:

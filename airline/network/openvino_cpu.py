@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from openvino import opset13 as op
 
 from airline.image import Gray, mean_and_deviation
-from airline.network.processor import has_bf16
+from airline.network.runtimes import has_bf16
 from airline.network.spec import SIZES, UNetSpec
 from airline.network.weights import load_weights
 
@@ -58,15 +58,9 @@ class OpenVinoNetwork:
 
 
 def encode_input(gray: Gray, spec: UNetSpec, planes: NDArray[np.float32]) -> None:
-    """Fill the network's input: normalised pixels of each block as channels, and smoothed copies.
+    """Fill `planes`, (rows, columns, C) of `UNetSpec.folded_size`: normalised pixels of blocks, and smoothed copies.
 
-    The same as `unet.normalise`, `pixel_unshuffle` and `UNet._smoothed` on an image whose last row and column are
-    repeated up to the network's stride. As nodes of the graph these took longer than its convolutions.
-
-    Args:
-        gray: the image.
-        spec: shape of the network.
-        planes: (rows, columns, C) of `UNetSpec.folded_size`.
+    The same as in `UNet.answer`; as nodes of the graph these took longer than its convolutions.
     """
     (height, width), (rows, columns, _), side = gray.shape, planes.shape, spec.unshuffle
     mean, deviation = mean_and_deviation(gray)

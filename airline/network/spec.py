@@ -22,8 +22,7 @@ class UNetSpec:
         widths: channels per level, finest first; each level has half the resolution of the one before.
         convs: 3x3 convolutions per block.
         unshuffle: side of the pixel blocks that are folded into channels before the first level (1: none).
-        smoothed: ever smoother copies of the image at the first level's resolution that join its input: they cost next
-            to nothing, and let a small network see past noise.
+        smoothed: ever smoother copies of the image that join the first level's input, so that it sees past noise.
     """
 
     widths: Annotated[tuple[Size, ...], Meta(min_length=1, max_length=8)] = (16, 16, 32, 64, 64)

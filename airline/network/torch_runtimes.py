@@ -62,10 +62,8 @@ def captured(network: Network, image: torch.Tensor) -> Callable[[], torch.Tensor
 class CudaNetwork:
     """A U-Net on a GPU, in bfloat16 or, where the GPU has none, in float16; see `EdgeNetwork`.
 
-    A network of this size is done sooner than Python can start its layers one by one, so they are captured once for
-    each size and kind of image as a CUDA graph and replayed.
-
-    `device` and `capture` are for tests where there is no GPU. Raises WeightsError, and ConfigError without a GPU.
+    It is done sooner than Python can start its layers one by one, so they are captured for each size and kind of image
+    as a CUDA graph. Raises WeightsError, and ConfigError without a GPU; `device` and `capture` are for tests.
     """
 
     def __init__(self, weights: str | Path | UNet, device: str = "cuda", capture: Capture = captured) -> None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from airline.network.spec import UNetSpec
+from airline.network.weights import Ranges
+
+BEYOND = 1e-5  # share of an image's numbers that may lie beyond a range, on either side,
+IMAGES = 0.95  # in so many of the images: one odd image must not take the others' precision
 
 
 class UNet(nn.Module):
     """U-Net (Ronneberger et al. 2015) with additive skips, from a normalised grey image to edge logits.
 
-    Activations at full resolution, not parameters, decide the time on a CPU; so the image is folded into channels
-    first (pixel unshuffle) and the logits are unfolded at the end, and skips are added instead of concatenated.
+    Activations at full resolution decide the time on a CPU; so the image is folded into channels first (pixel
+    unshuffle) and the logits are unfolded at the end.
     """
 
     def __init__(self, spec: UNetSpec, norm: bool = False) -> None:
@@ -31,14 +39,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(widths[0], spec.unshuffle**2, 1)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Edge logits of normalised images.
-
-        Args:
-            image: (B, 1, H, W) float, zero mean and unit variance; H and W multiples of `spec.stride`.
-
-        Returns:
-            (B, 1, H, W) logits.
-        """
+        """(B, 1, H, W) edge logits of (B, 1, H, W) normalised float images; H and W are multiples of `spec.stride`."""
         x = nn.functional.pixel_unshuffle(image, self.spec.unshuffle)
         x = torch.cat([x, *self._smoothed(x)], dim=1)
         skips = []
@@ -59,14 +60,7 @@ class UNet(nn.Module):
         return [2 * copy for copy in copies[1:]]
 
     def answer(self, gray: torch.Tensor) -> torch.Tensor:
-        """Edge logits of grey images as they are: any range, any size.
-
-        Args:
-            gray: (B, 1, H, W) float32 grey levels.
-
-        Returns:
-            (B, 1, H, W) logits, numbers of the weights' kind.
-        """
+        """(B, 1, H, W) edge logits, of the weights' kind, of (B, 1, H, W) float32 grey levels of any range and size."""
         height, width = gray.shape[2:]
         beyond = (0, -width % self.spec.stride, 0, -height % self.spec.stride)
         padded = nn.functional.pad(normalise(gray), beyond, mode="replicate")
@@ -105,3 +99,35 @@ def _block(inputs: int, outputs: int, convs: int, norm: bool) -> nn.Sequential:
             layers.append(nn.BatchNorm2d(outputs))
         layers.append(nn.ReLU(inplace=True))
     return nn.Sequential(*layers)
+
+
+def measure_ranges(net: UNet, images: Iterable[NDArray[np.uint8]]) -> Ranges:
+    """Least and largest input of each convolution but the first, by its name, over most of some (H, W) uint8 images.
+
+    Inference in 8-bit numbers must know them. `net` has its normalisation folded.
+    """
+    found: dict[str, list[tuple[float, float]]] = {}
+
+    def note(name: str, values: torch.Tensor) -> None:
+        numbers = values.flatten().numpy()
+        rank = int(BEYOND * len(numbers))
+        ordered = np.partition(numbers, (rank, len(numbers) - 1 - rank))
+        found.setdefault(name, []).append((float(ordered[rank]), float(ordered[len(numbers) - 1 - rank])))
+
+    convs = {name: part for name, part in net.named_modules() if isinstance(part, nn.Conv2d) and name != "down.0.0"}
+    hooks = [
+        conv.register_forward_pre_hook(lambda _, inputs, name=name: note(name, inputs[0]))
+        for name, conv in convs.items()
+    ]
+    try:
+        with torch.inference_mode():
+            for image in images:
+                net.answer(torch.from_numpy(image.astype(np.float32))[None, None])
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return {name: _of_most(*np.array(each).T) for name, each in found.items()}
+
+
+def _of_most(lows: NDArray[np.float64], highs: NDArray[np.float64]) -> tuple[float, float]:
+    return float(np.quantile(lows, 1 - IMAGES, method="lower")), float(np.quantile(highs, IMAGES, method="higher"))

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from airline.scenes.textures import texture_index
 
-Vec = Sequence[float] | NDArray[np.float64]  # of three
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+Vec = Sequence[float] | Array  # of three
 PIPE_SIDES = 20
 TOUCHING = 1e-3  # m: closer lines are one
 
@@ -66,14 +68,14 @@ class Scene:
         sky: (2, 3) float32 BGR light at the horizon and overhead.
     """
 
-    origins: NDArray[np.float64]
-    u: NDArray[np.float64]
-    v: NDArray[np.float64]
+    origins: Array
+    u: Array
+    v: Array
     textures: NDArray[np.int32]
     materials: NDArray[np.float32]
-    lines: NDArray[np.float64]
-    pipes: NDArray[np.float64]
-    radii: NDArray[np.float64]
+    lines: Array
+    pipes: Array
+    radii: Array
     walk: Walk
     sky: NDArray[np.float32]
 
@@ -88,12 +90,12 @@ class Light:
         gradient: (3,) relative change of light per metre, everywhere alike, so that split walls stay seamless.
     """
 
-    direction: NDArray[np.float64]
+    direction: Array
     ambient: float
     diffuse: float
-    gradient: NDArray[np.float64]
+    gradient: Array
 
-    def at(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array, normals: Array) -> Array:
         """(N,) light on surfaces at `points` (N, 3) with unit `normals` (N, 3)."""
         towards = normals @ self.direction
         # Faces turned away still differ from each other, as under a real sky or bounced light.
@@ -111,11 +113,11 @@ class Place:
     """A local coordinate system (origin, orthonormal axes) whose methods add things to the scene in its coordinates."""
 
     scene: SceneBuilder
-    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    x: NDArray[np.float64] = field(default_factory=lambda: _X)
-    y: NDArray[np.float64] = field(default_factory=lambda: _Y)
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+    x: Array = field(default_factory=lambda: _X)
+    y: Array = field(default_factory=lambda: _Y)
 
-    def point(self, p: Vec) -> NDArray[np.float64]:
+    def point(self, p: Vec) -> Array:
         """World positions of local points (..., 3)."""
         p = np.asarray(p, np.float64)
         return np.asarray(self.origin + self.x * p[..., :1] + self.y * p[..., 1:2] + _Z * p[..., 2:])
@@ -130,13 +132,7 @@ class Place:
         return Place(self.scene, np.array(origin, float), np.array(along, float), np.array((-along[1], along[0], 0.0)))
 
     def quad(
-        self,
-        corner: Vec,
-        u: Vec,
-        v: Vec,
-        material: Material,
-        edges: str = "btlr",
-        shift: tuple[float, float] = (0.0, 0.0),
+        self, corner: Vec, u: Vec, v: Vec, material: Material, edges: str = "btlr", shift: tuple[float, float] = (0, 0)
     ) -> None:
         """Add a parallelogram; `edges` names its sides that are lines: bottom and top along u, left and right along v.
 
@@ -167,8 +163,8 @@ class Place:
         self.scene.pipes.append(((self.point(start), self.point(end)), radius, material))
 
 
-Line = tuple[NDArray[np.float64], NDArray[np.float64]]
-Face = tuple[NDArray[np.float64], Material, tuple[float, float]]  # (3, 3): origin, ends of u and v; material; shift
+Line = tuple[Array, Array]
+Face = tuple[Array, Material, tuple[float, float]]  # (3, 3): origin, ends of u and v; material; shift
 
 
 @dataclass
@@ -217,15 +213,13 @@ class SceneBuilder:
         )
 
 
-def colour(
-    rng: np.random.Generator, value: tuple[float, float], saturation: tuple[float, float]
-) -> NDArray[np.float64]:
+def colour(rng: Rng, value: tuple[float, float], saturation: tuple[float, float]) -> Array:
     """A random linear BGR colour with brightness and saturation within bounds."""
     hue, v, s = rng.uniform(0, 6), rng.uniform(*value), rng.uniform(*saturation)
     return np.asarray(v * (1 - s * np.clip(np.abs((hue + np.array([2.0, 4.0, 0.0])) % 6 - 3) - 1, 0, 1)))
 
 
-def finish(rng: np.random.Generator, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
+def finish(rng: Rng, name: str, base: Vec, tile: float = 1.0, contrast: float = 0.25) -> Material:
     """A material whose colours lie around `base`, apart by the relative `contrast`."""
     texture, base = texture_index(name, int(rng.integers(100))), np.asarray(base)
     return Material(texture, base * (1 - contrast), np.minimum(1, base * (1 + contrast)), tile)
@@ -244,7 +238,7 @@ def _prism(ends: Line, radius: float, material: Material) -> list[Face]:
     return [(np.stack([p, q, p + axis]), material, (k * 2 * radius * half, 0.0)) for k, (p, q) in sides]
 
 
-def merge_collinear(segments: NDArray[np.float64]) -> NDArray[np.float64]:
+def merge_collinear(segments: Array) -> Array:
     """(L, 2, 3) unions of those of (N, 2, 3) segments that lie on one line in space and overlap or touch, m."""
     direction = segments[:, 1] - segments[:, 0]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

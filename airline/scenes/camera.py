@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from airline.kernels.compiled import njit
-from airline.scenes.builder import Walk
+from airline.scenes.builder import Array, Walk
 
 _CURVE = 4096
 _LIMITS = {
@@ -80,7 +80,7 @@ MOTIONS = {
 }
 
 
-def pose_at(walk: Walk, motion: Motion, seed: int, seconds: float) -> NDArray[np.float64]:
+def pose_at(walk: Walk, motion: Motion, seed: int, seconds: float) -> Array:
     """(4, 4) float64 world_from_camera at a time; camera x right, y down, z forward.
 
     The camera swings through its free space and looks around in sines of seeded phase, with speeds bounded by `motion`.
@@ -104,7 +104,7 @@ def pose_at(walk: Walk, motion: Motion, seed: int, seconds: float) -> NDArray[np
     return pose
 
 
-def rotation(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+def rotation(yaw: float, pitch: float, roll: float) -> Array:
     """(3, 3) float64 world_from_camera: heading `yaw`, tilted up by `pitch`, turned clockwise by `roll`, rad."""
     forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
     right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
@@ -113,9 +113,7 @@ def rotation(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
     return np.stack([c * right + s * down, c * down - s * right, forward], axis=1)
 
 
-def blur_rotation(
-    linear: NDArray[np.float32], K: NDArray[np.float64], turns: list[NDArray[np.float64]]
-) -> NDArray[np.float32]:
+def blur_rotation(linear: NDArray[np.float32], K: Array, turns: list[Array]) -> NDArray[np.float32]:
     """Mean of the image as seen by cameras turned by `turns` (each (3, 3), turned_from_centre); unchanged for none."""
     if not turns:
         return linear

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -13,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
+from airline.kernels.threads import map_ahead
 from airline.scenes import raster, visibility
-from airline.scenes.builder import Scene
+from airline.scenes.builder import Array, Scene
 from airline.scenes.camera import CLEAN, MOTIONS, CameraEffects, blur_rotation, develop, exposure_at, pose_at
 from airline.scenes.rooms import indoor_scene, shelves_scene
 from airline.scenes.street import street_scene
@@ -33,8 +32,7 @@ class RenderedView:
         depth: (H, W) float32 distance along the optical axis, m; inf where there is sky.
         segments_px: (N, 2, 2) float32 visible pieces of lines, px.
         segments_world: (N, 2, 3) float64 the same end points in space, m.
-        ids: (N,) int64 the physical line each piece belongs to, the same over the whole clip; an outline of a pipe
-            keeps its id although it moves over the pipe with the camera.
+        ids: (N,) int64 the physical line (or outline of a pipe) of each piece, the same over the whole clip.
         K: (3, 3) float64 intrinsic matrix, px.
         pose: (4, 4) float64 world_from_camera; camera x right, y down, z forward.
         stamp_ns: time since the sequence's start, ns.
@@ -43,10 +41,10 @@ class RenderedView:
     image: NDArray[np.uint8]
     depth: NDArray[np.float32]
     segments_px: NDArray[np.float32]
-    segments_world: NDArray[np.float64]
+    segments_world: Array
     ids: NDArray[np.int64]
-    K: NDArray[np.float64]
-    pose: NDArray[np.float64]
+    K: Array
+    pose: Array
     stamp_ns: int
 
 
@@ -93,13 +91,13 @@ class RenderedClip:
         return (self.render(i) for i in range(self.frames))
 
     @property
-    def K(self) -> NDArray[np.float64]:  # noqa: N802
+    def K(self) -> Array:  # noqa: N802
         """(3, 3) float64 intrinsic matrix, px; the focal length is part of what the seed chooses."""
         width, height = self.size
         focal = width * np.random.default_rng([self.seed, 3]).uniform(0.65, 0.9)
         return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
 
-    def pose(self, i: float) -> NDArray[np.float64]:
+    def pose(self, i: float) -> Array:
         """(4, 4) float64 world_from_camera of frame `i`; fractions are times between frames."""
         return pose_at(build_scene(self.kind, self.seed).walk, MOTIONS[self.motion], self.seed, i / FRAMES_PER_SECOND)
 
@@ -117,7 +115,7 @@ class RenderedClip:
         exposure = exposure_at(self.effects, self.seed, i / FRAMES_PER_SECOND)
         return replace(clean, image=develop(blurred, exposure, self.effects, self.seed, i), stamp_ns=stamp)
 
-    def _turns(self, effects: CameraEffects, i: int) -> list[NDArray[np.float64]]:
+    def _turns(self, effects: CameraEffects, i: int) -> list[Array]:
         """Rotations of the camera while the shutter is open around frame i: about one for every 1.5 px of motion."""
         half = effects.motion_blur / 2
         centre = self.pose(i)[:3, :3]
@@ -135,17 +133,11 @@ def build_scene(kind: str, seed: int) -> Scene:
 
 
 def render_scene(
-    scene: Scene,
-    pose: NDArray[np.float64],
-    K: NDArray[np.float64],
-    size: tuple[int, int],
-    min_contrast: float,
-    merge_doubles: bool = True,
+    scene: Scene, pose: Array, K: Array, size: tuple[int, int], min_contrast: float, merge_doubles: bool = True
 ) -> tuple[NDArray[np.float32], RenderedView]:
     """The clean view of a scene from `pose` (world_from_camera) by a camera with square pixels; see `RenderedClip`.
 
-    Returns:
-        (H, W, 3) float32 linear BGR image, and the view at time 0 with that image under a plain display curve.
+    Returns (H, W, 3) float32 linear BGR, and the view at time 0 with that image under a plain display curve.
     """
     focal, centre, (cx, cy) = K[0, 0], K[:2, 2], K[:2, 2]
     rotation = np.ascontiguousarray(pose[:3, :3].T)
@@ -171,11 +163,4 @@ def render_scene(
 
 def render_clip(sequence: RenderedClip, workers: int = 2) -> Iterator[RenderedView]:
     """All frames in order, rendered ahead in `workers` threads: the same bits as iterating, sooner."""
-    with ThreadPoolExecutor(workers) as pool:
-        ahead: deque[Future[RenderedView]] = deque()
-        for i in range(len(sequence)):
-            ahead.append(pool.submit(sequence.render, i))
-            if len(ahead) > 2 * workers:
-                yield ahead.popleft().result()
-        while ahead:
-            yield ahead.popleft().result()
+    return map_ahead(sequence.render, range(len(sequence)), workers)

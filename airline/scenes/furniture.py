@@ -9,26 +9,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from airline.scenes.builder import Material, Place, Vec, colour, finish
+from airline.scenes.builder import Material, Place, Rng, Vec, colour, finish
 
 
-def wood_finish(rng: np.random.Generator) -> Material:
+def wood_finish(rng: Rng) -> Material:
     tone = rng.uniform(0.12, 0.6)
     brown = (tone * rng.uniform(0.3, 0.6), tone * rng.uniform(0.6, 0.75), tone)
     return finish(rng, "wood", brown, rng.uniform(0.5, 1.2), 0.18)
 
 
-def paint_finish(rng: np.random.Generator, low: float = 0.08, high: float = 0.8) -> Material:
+def paint_finish(rng: Rng, low: float = 0.08, high: float = 0.8) -> Material:
     return finish(rng, "plaster", colour(rng, (low, high), (0.0, 0.6)), 0.7, 0.06)
 
 
-def bookcase(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def bookcase(at: Place, width: float, height: float, rng: Rng) -> None:
     """Shelves full of books, the repeated structure that trackers confuse."""
     depth, top = rng.uniform(0.26, 0.36), min(height - 0.15, rng.uniform(1.5, 2.3))
     filled_case(at, (width, depth, top), wood_finish(rng), paint_finish(rng, 0.05, 0.3), int(rng.integers(4, 7)), rng)
 
 
-def filled_case(at: Place, size: Vec, wood: Material, back: Material, boards: int, rng: np.random.Generator) -> None:
+def filled_case(at: Place, size: Vec, wood: Material, back: Material, boards: int, rng: Rng) -> None:
     """A bookcase of a given width, depth and height, materials and number of boards; books by chance."""
     (width, depth, top), thick = size, 0.03
     at.box((0, 0, 0), (thick, depth, top), wood, "xXYZ")
@@ -41,7 +41,7 @@ def filled_case(at: Place, size: Vec, wood: Material, back: Material, boards: in
         _books(at.moved((thick, 0.02, z)), width - 2 * thick, depth, above - z, rng)
 
 
-def _books(at: Place, width: float, depth: float, height: float, rng: np.random.Generator) -> None:
+def _books(at: Place, width: float, depth: float, height: float, rng: Rng) -> None:
     x = rng.uniform(0, 0.1)
     while x < width - 0.09:
         if rng.random() < 0.1:
@@ -57,7 +57,7 @@ def _books(at: Place, width: float, depth: float, height: float, rng: np.random.
         x += book + 0.001
 
 
-def hanging_shelves(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def hanging_shelves(at: Place, width: float, height: float, rng: Rng) -> None:
     """One or two boards with books high on the wall."""
     wood, z = wood_finish(rng), 1.45
     while z + 0.6 < height:
@@ -68,7 +68,7 @@ def hanging_shelves(at: Place, width: float, height: float, rng: np.random.Gener
         z += rng.uniform(0.45, 1.2)
 
 
-def poster(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def poster(at: Place, width: float, height: float, rng: Rng) -> None:
     """One to three framed pictures with blobs and patches."""
     count = int(rng.integers(1, 4)) if width > 1.2 else 1
     each = width / count
@@ -84,7 +84,7 @@ def poster(at: Place, width: float, height: float, rng: np.random.Generator) -> 
             at.quad((x + w - rim, y, z + rim), (2 * rim - w, 0, 0), (0, 0, h - 2 * rim), material)
 
 
-def cabinet(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def cabinet(at: Place, width: float, height: float, rng: Rng) -> None:
     """A chest with drawers or doors and handles."""
     depth, top = rng.uniform(0.4, 0.6), min(height - 0.2, rng.choice([0.8, 1.1, 1.9]))
     body, front = wood_finish(rng), wood_finish(rng)
@@ -103,7 +103,7 @@ def cabinet(at: Place, width: float, height: float, rng: np.random.Generator) ->
         (hanging_shelves if rng.random() < 0.4 else poster)(at, width, height, rng)
 
 
-def _clutter(at: Place, width: float, depth: float, rng: np.random.Generator) -> None:
+def _clutter(at: Place, width: float, depth: float, rng: Rng) -> None:
     """A few small boxes on a top."""
     x = 0.1
     while x < width - 0.35:
@@ -115,7 +115,7 @@ def _clutter(at: Place, width: float, depth: float, rng: np.random.Generator) ->
         x += size[0] + rng.uniform(0.1, 0.5)
 
 
-def desk(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def desk(at: Place, width: float, height: float, rng: Rng) -> None:
     """A table with legs, a screen and clutter."""
     depth, top, thick = rng.uniform(0.6, 0.8), rng.uniform(0.7, 0.78), 0.035
     wood, legs = wood_finish(rng), paint_finish(rng, 0.05, 0.7)
@@ -132,7 +132,7 @@ def desk(at: Place, width: float, height: float, rng: np.random.Generator) -> No
     (hanging_shelves if rng.random() < 0.5 else poster)(at, width, height, rng)
 
 
-def cartons(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def cartons(at: Place, width: float, height: float, rng: Rng) -> None:
     """Stacks of boxes, each a little turned, with a stripe of tape."""
     x = 0.0
     while x < width - 0.35:
@@ -151,7 +151,7 @@ def cartons(at: Place, width: float, height: float, rng: np.random.Generator) ->
     hanging_shelves(at.moved((0, 0, 0.2)), width, height - 0.2, rng)
 
 
-def radiator(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def radiator(at: Place, width: float, height: float, rng: Rng) -> None:
     """A ribbed heater with its two pipes."""
     body, dark = paint_finish(rng, 0.6, 0.85), paint_finish(rng, 0.1, 0.3)
     w = min(width - 0.25, rng.uniform(0.8, 1.4))
@@ -164,7 +164,7 @@ def radiator(at: Place, width: float, height: float, rng: np.random.Generator) -
     poster(at, w, height, rng)
 
 
-def pipes(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def pipes(at: Place, width: float, height: float, rng: Rng) -> None:
     """Risers of several sizes from the floor to the ceiling."""
     x = 0.1
     while x < width - 0.1:
@@ -174,7 +174,7 @@ def pipes(at: Place, width: float, height: float, rng: np.random.Generator) -> N
         x += 2 * radius + rng.uniform(0.05, 0.3)
 
 
-def stairs(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def stairs(at: Place, width: float, height: float, rng: Rng) -> None:
     """A flight of steps along the wall, with a rail."""
     rise, run, deep = rng.uniform(0.16, 0.19), rng.uniform(0.25, 0.3), rng.uniform(0.7, 0.9)
     tread, riser = wood_finish(rng), paint_finish(rng, 0.5, 0.85)
@@ -194,7 +194,7 @@ def stairs(at: Place, width: float, height: float, rng: np.random.Generator) -> 
     at.quad((x, deep - 0.02, z + 0.06), (0, -0.06, 0), slope, rail)
 
 
-def lockers(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def lockers(at: Place, width: float, height: float, rng: Rng) -> None:
     """A row of narrow metal doors with slots."""
     top, depth = min(1.9, height - 0.3), 0.45
     first, second = paint_finish(rng, 0.15, 0.4), paint_finish(rng, 0.5, 0.75)
@@ -209,7 +209,7 @@ def lockers(at: Place, width: float, height: float, rng: np.random.Generator) ->
         at.box((k * w + 0.04, depth, 0.95), (k * w + 0.07, depth + 0.03, 1.12), dark, "xXYzZ")
 
 
-def board(at: Place, width: float, height: float, rng: np.random.Generator) -> None:
+def board(at: Place, width: float, height: float, rng: Rng) -> None:
     """A white or black board with notes on it."""
     rim = paint_finish(rng, 0.2, 0.4)
     white = rng.random() < 0.5

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from airline.scenes.builder import Material, Place, colour, finish
+from airline.scenes.builder import Material, Place, Rng, colour, finish
 
 Span = tuple[float, float, float, float]  # x0, x1, z0, z1
 
@@ -90,7 +90,7 @@ def window(at: Place, hole: Span, style: WindowStyle, side: Material) -> None:
         at.box((x0 - 0.12, 0, z0 - 0.05), (x1 + 0.12, 0.14, z0), style.frame, "xXYzZ")
 
 
-def door(at: Place, hole: Span, rng: np.random.Generator, side: Material) -> None:
+def door(at: Place, hole: Span, rng: Rng, side: Material) -> None:
     """A door leaf with panels or panes, handle and casing in a hole that reaches the floor."""
     x0, x1, z0, z1 = hole
     depth = rng.uniform(0.06, 0.14)

@@ -2,9 +2,8 @@
 
 A pixel's ray d = K^-1 (x, y, 1) meets the face origin + a u + b v at depth z where d = (a u + b v + origin) / z in
 camera coordinates. With M = [u v origin], M^-1 d = (a, b, 1) / z: three functions that are affine in the pixel's
-position, of which the third is the inverse depth and the first two give the texture position. The face covers the
-pixel where 0 <= a/z <= 1/z and 0 <= b/z <= 1/z, so that no clipping is needed (Olano and Greer, "Triangle scan
-conversion using 2D homogeneous coordinates", 1997).
+position. The face covers the pixel where 0 <= a/z <= 1/z and 0 <= b/z <= 1/z, so that no clipping is needed (Olano and
+Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997).
 
 Edges are anti-aliased by four samples per pixel on a rotated grid; texture is filtered by mip levels instead.
 """
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
-from airline.scenes.builder import Scene
+from airline.scenes.builder import Array, Scene
 from airline.scenes.textures import LEVELS, SIZE, STRIDE
 
 NEAR = 0.05  # m
@@ -23,29 +22,18 @@ BAND = 32  # rows
 SAMPLES = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 
 
-def to_camera(
-    vectors: NDArray[np.float64], rotation: NDArray[np.float64], translation: NDArray[np.float64] | float = 0.0
-) -> NDArray[np.float64]:
+def to_camera(vectors: Array, rotation: Array, translation: Array | float = 0.0) -> Array:
     """World vectors (..., 3) in camera coordinates; every element is computed alike, whatever the array's shape."""
     x, y, z = np.moveaxis(vectors, -1, 0)[..., None]
     return np.asarray(translation + rotation[:, 0] * x + rotation[:, 1] * y + rotation[:, 2] * z)
 
 
 def project_faces(
-    scene: Scene,
-    rotation: NDArray[np.float64],
-    translation: NDArray[np.float64],
-    focal: float,
-    centre: NDArray[np.float64],
-    size: tuple[int, int],
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    scene: Scene, rotation: Array, translation: Array, focal: float, centre: Array, size: tuple[int, int]
+) -> tuple[NDArray[np.intp], Array, Array, Array]:
     """Faces that look at the camera and may touch the image of a (width, height).
 
-    Returns:
-        faces: (M,) rows.
-        inverse: (M, 3, 3) M^-1 in camera coordinates.
-        bounds: (M, 4) x0, y0, x1, y1, px.
-        depths: (M,) nearest depth, m.
+    Returns (M,) rows, (M, 3, 3) M^-1 in camera coordinates, (M, 4) bounds x0, y0, x1, y1, px, (M,) nearest depths, m.
     """
     o, u, v = to_camera(scene.origins, rotation, translation), *(to_camera(a, rotation) for a in (scene.u, scene.v))
     normal = np.cross(u, v)
@@ -65,7 +53,7 @@ def project_faces(
     return faces, inverse, np.concatenate([low, high], axis=1)[faces], np.maximum(near, NEAR)[faces]
 
 
-def pixel_functions(inverse: NDArray[np.float64], focal: float, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+def pixel_functions(inverse: Array, focal: float, centre: Array) -> Array:
     """(M, 3, 3) float64: a/z, b/z and 1/z of each face as c0 x + c1 y + c2 of the pixel's position."""
     c0, c1, c2 = np.moveaxis(inverse, -1, 0)
     return np.stack([c0 / focal, c1 / focal, c2 - (c0 * centre[0] + c1 * centre[1]) / focal], axis=-1)
@@ -182,17 +170,12 @@ def _shade_span(functions, material, texture, bank, f, start, stop, x_offset, y,
 
 @njit()
 def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, width, height):  # type: ignore[no-untyped-def]
-    """Linear-light image and depth.
-
-    The image is drawn in bands of rows, whose buffers stay in the processor's cache.
+    """(H, W, 3) float32 linear BGR and (H, W) float32 depth in m (inf: sky), in bands of rows that stay in the cache.
 
     Args:
-        functions, bounds: (M, 3, 3) and (M, 4) of the faces in view, as above; samples: (S, 2) offsets in a pixel, px.
+        functions, bounds: (M, 3, 3) and (M, 4) of the faces in view; samples: (S, 2) offsets in a pixel, px.
         material: (M, 13) float32 rows of `Scene.materials`; texture: (M,) int32; bank: (T * STRIDE,) uint8.
         sky_map: (3,) height c0 x + c1 y + c2 of a pixel's ray above the horizon; sky: (2, 3) float32 colours.
-
-    Returns:
-        (H, W, 3) float32 linear BGR, (H, W) float32 depth in m (inf: sky).
     """
     image = np.zeros((height, width, 3), np.float32)
     depth = np.empty((height, width), np.float32)
@@ -232,10 +215,7 @@ def draw(functions, bounds, samples, material, texture, bank, sky_map, sky, widt
 
 @njit()
 def _blend_pixel(functions, material, texture, bank, samples, faces, sky, x, y, out, depth):  # type: ignore[no-untyped-def]
-    """A pixel whose samples see several `faces` (S,): each is looked up once, inside itself, weighted by its samples.
-
-    Its depth is that of the nearest face. `faces` is overwritten.
-    """
+    """A pixel whose samples see several `faces` (S,), which are overwritten; its depth is that of the nearest."""
     nearest = 0.0
     for s in range(len(faces)):
         f = faces[s]
@@ -266,9 +246,7 @@ def _add_sky(sky_map, sky, start, stop, y, weight, out):  # type: ignore[no-unty
             out[x, c] += weight * (sky[0, c] + rise * (sky[1, c] - sky[0, c]))
 
 
-def sky_function(
-    world_from_camera: NDArray[np.float64], focal: float, centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sky_function(world_from_camera: Array, focal: float, centre: Array) -> Array:
     """(3,) float64: twice the height of a pixel's ray (z = 1) above the horizon, as c0 x + c1 y + c2."""
     up = 2 * world_from_camera[2, :3]
     return np.array([up[0] / focal, up[1] / focal, up[2] - (up[0] * centre[0] + up[1] * centre[1]) / focal])

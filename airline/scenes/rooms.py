@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish
+from airline.scenes.builder import Light, Material, Place, Rng, Scene, SceneBuilder, Walk, colour, finish
 from airline.scenes.furniture import ITEMS, cabinet, filled_case, paint_finish, poster, wood_finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
 
@@ -24,7 +24,7 @@ class _Fittings:
     windows: WindowStyle
 
 
-def indoor_scene(rng: np.random.Generator) -> Scene:
+def indoor_scene(rng: Rng) -> Scene:
     """A furnished room or corridor; the camera walks in its free middle."""
     corridor = rng.random() < 0.4
     sides = ((10, 18), (3.0, 3.8)) if corridor else ((6, 9), (5, 7.5))
@@ -52,7 +52,7 @@ def indoor_scene(rng: np.random.Generator) -> Scene:
     return world.scene.build(_room_light(length, width, rng), walk)
 
 
-def shelves_scene(rng: np.random.Generator) -> Scene:
+def shelves_scene(rng: Rng) -> Scene:
     """A library: the camera walks along a wall of equal bookcases and looks at them, partly through a railing.
 
     Everything repeats, so that a tracker must know a line by more than its place and its looks.
@@ -87,7 +87,7 @@ def _walls(world: Place, length: float, width: float) -> list[tuple[Place, float
     ]
 
 
-def _room_light(length: float, width: float, rng: np.random.Generator) -> Light:
+def _room_light(length: float, width: float, rng: Rng) -> Light:
     """Soft light from a random side, with a fall-off across the room."""
     turn, ambient = rng.uniform(0, 2 * np.pi), rng.uniform(0.65, 0.8)
     direction = np.array([0.7 * np.cos(turn), 0.7 * np.sin(turn), 0.3])
@@ -96,7 +96,7 @@ def _room_light(length: float, width: float, rng: np.random.Generator) -> Light:
     return Light(direction, ambient, 1.1 - ambient, gradient)
 
 
-def _tiled_floor(world: Place, length: float, width: float, rng: np.random.Generator) -> None:
+def _tiled_floor(world: Place, length: float, width: float, rng: Rng) -> None:
     """A floor of tiles, planks or carpet on the ground from (0, 0) to (length, width)."""
     kind = rng.choice(["tiles", "planks", "plain"], p=[0.5, 0.38, 0.12])
     base = colour(rng, (0.2, 0.5), (0.1, 0.5))
@@ -116,7 +116,7 @@ def _tiled_floor(world: Place, length: float, width: float, rng: np.random.Gener
         world.quad(corner, (length / nx, 0, 0), (0, width / ny, 0), tile, shift=tuple(rng.random(2)))
 
 
-def _lit_ceiling(world: Place, length: float, width: float, height: float, rng: np.random.Generator) -> None:
+def _lit_ceiling(world: Place, length: float, width: float, height: float, rng: Rng) -> None:
     """A ceiling over (0, 0) to (length, width) with lamps, and by chance panels, beams and pipes."""
     white = finish(rng, "plaster", (0.7, 0.72, 0.75), 1.5, 0.05)
     if rng.random() < 0.5:
@@ -147,7 +147,7 @@ def _lit_ceiling(world: Place, length: float, width: float, height: float, rng: 
             world.pipe((0, y, height - 0.35), (length, y, height - 0.35), radius, metal)
 
 
-def _window_style(rng: np.random.Generator) -> WindowStyle:
+def _window_style(rng: Rng) -> WindowStyle:
     glass = finish(rng, "marble", colour(rng, (0.85, 1.0), (0.0, 0.2)), 2.0, 0.1)
     name, value = ("wood", (0.05, 0.2)) if rng.random() < 0.5 else ("plaster", (0.45, 0.6))
     frame = finish(rng, name, colour(rng, value, (0, 0.4)), 0.8, 0.1)
@@ -156,13 +156,7 @@ def _window_style(rng: np.random.Generator) -> WindowStyle:
 
 
 def _furnished_wall(
-    at: Place,
-    span: float,
-    margin: float,
-    height: float,
-    material: Material,
-    fittings: _Fittings,
-    rng: np.random.Generator,
+    at: Place, span: float, margin: float, height: float, material: Material, fittings: _Fittings, rng: Rng
 ) -> None:
     """One wall: slots from left to right, each with a door, a window or an item of furniture."""
     items, weights = [*ITEMS], np.array([*ITEMS.values()])
@@ -208,7 +202,7 @@ def _panels(at: Place, start: float, stop: float, panel: Material, rail: Materia
     at.box((start, 0, 0.68), (stop, 0.025, 0.74), rail, "xXYzZ")
 
 
-def _bookcases(at: Place, span: float, height: float, rng: np.random.Generator) -> None:
+def _bookcases(at: Place, span: float, height: float, rng: Rng) -> None:
     """Bookcases of one size and finish from end to end; the books differ."""
     count = round(span / rng.uniform(0.8, 1.1))
     pitch = span / count
@@ -218,7 +212,7 @@ def _bookcases(at: Place, span: float, height: float, rng: np.random.Generator) 
         filled_case(at.moved((k * pitch, 0, 0)), size, wood, back, boards, rng)
 
 
-def _railing(at: Place, span: float, rng: np.random.Generator) -> None:
+def _railing(at: Place, span: float, rng: Rng) -> None:
     """Balusters at equal distance between a bottom and a hand rail."""
     metal = paint_finish(rng, 0.6, 0.85) if rng.random() < 0.5 else paint_finish(rng, 0.02, 0.07)
     thick, top = rng.uniform(0.018, 0.028), rng.uniform(0.95, 1.1)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, colour, finish
+from airline.scenes.builder import Light, Material, Place, Rng, Scene, SceneBuilder, Walk, colour, finish
 from airline.scenes.openings import Span, WindowStyle, door, wall, window
 
 _HALF = 26.0  # m from the middle of the street to the houses that close it
 
 
-def street_scene(rng: np.random.Generator) -> Scene:
+def street_scene(rng: Rng) -> Scene:
     """A street along x with pavements, furniture and houses on both sides and at both ends."""
     world = Place(SceneBuilder())
     road, pavement = rng.uniform(3.0, 4.2), rng.uniform(2.0, 3.2)
@@ -32,7 +32,7 @@ def street_scene(rng: np.random.Generator) -> Scene:
     return world.scene.build(light, walk, sky)
 
 
-def _ground(world: Place, road: float, edge: float, rng: np.random.Generator) -> None:
+def _ground(world: Place, road: float, edge: float, rng: Rng) -> None:
     asphalt = finish(rng, "asphalt", colour(rng, (0.1, 0.2), (0, 0.1)), 1.3, 0.3)
     world.quad((-_HALF, -road, 0), (2 * _HALF, 0, 0), (0, 2 * road, 0), asphalt, "")
     paint = finish(rng, "patches", (0.7, 0.72, 0.75), 0.7, 0.15)
@@ -56,7 +56,7 @@ def _ground(world: Place, road: float, edge: float, rng: np.random.Generator) ->
             world.quad((x, y0, 0.12), (2 * _HALF / count, 0, 0), (0, y1 - y0, 0), slabs, "lr")
 
 
-def _row(at: Place, span: float, rng: np.random.Generator) -> None:
+def _row(at: Place, span: float, rng: Rng) -> None:
     """Houses shoulder to shoulder, each a little further back or forward."""
     x = 0.0
     while span - x > 1.0:
@@ -67,7 +67,7 @@ def _row(at: Place, span: float, rng: np.random.Generator) -> None:
         x += width
 
 
-def _house(at: Place, width: float, rng: np.random.Generator) -> None:
+def _house(at: Place, width: float, rng: Rng) -> None:
     """A facade with rows of windows, a door, bands and a cornice, and a metre of its flanks."""
     floors, storey = int(rng.integers(2, 5)), rng.uniform(2.9, 3.7)
     height = floors * storey + rng.uniform(0.3, 1.0)
@@ -79,12 +79,9 @@ def _house(at: Place, width: float, rng: np.random.Generator) -> None:
     pale = max(face.high) < 0.6 or rng.random() < 0.2
     frame = finish(rng, "plaster", colour(rng, (0.75, 0.95) if pale else (0.06, 0.2), (0, 0.2)), 0.6, 0.05)
     glass = finish(rng, "patches", colour(rng, (0.05, 0.16) if pale else (0.35, 0.6), (0.1, 0.4)), 1.5, 0.3)
-    panes, bar, depth = (
-        (int(rng.integers(1, 3)), int(rng.integers(1, 3))),
-        rng.uniform(0.06, 0.1),
-        rng.uniform(0.1, 0.25),
-    )
-    style = WindowStyle(glass, frame, *panes, bar, depth, casing=rng.choice([0.0, 0.12]))
+    columns, rows = int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    bar, depth, casing = rng.uniform(0.06, 0.1), rng.uniform(0.1, 0.25), rng.choice([0.0, 0.12])
+    style = WindowStyle(glass, frame, columns, rows, bar, depth, casing)
     columns = max(2, round(width / rng.uniform(2.2, 3.3)))
     pitch = width / columns
     w, h = pitch * rng.uniform(0.42, 0.6), storey * rng.uniform(0.42, 0.6)
@@ -118,7 +115,7 @@ def _house(at: Place, width: float, rng: np.random.Generator) -> None:
         at.pipe((width - 0.15, 0.1, 0.12), (width - 0.15, 0.1, height - 0.3), 0.06, trim)
 
 
-def _steps(at: Place, rng: np.random.Generator) -> None:
+def _steps(at: Place, rng: Rng) -> None:
     stone = finish(rng, "speckle", colour(rng, (0.4, 0.7), (0, 0.15)), 0.8, 0.12)
     for k in range(2):
         at.box((-0.8, 0, 0), (0.8, 0.6 - 0.3 * k, 0.09 * (k + 1)), stone, "xXYZ")
@@ -132,7 +129,7 @@ def _balcony(at: Place, width: float, trim: Material) -> None:
         at.box((x, deep - 0.05, 0), (x + 0.03, deep - 0.02, 0.85), trim, "xXyY")
 
 
-def _street_furniture(at: Place, pavement: float, rng: np.random.Generator) -> None:
+def _street_furniture(at: Place, pavement: float, rng: Rng) -> None:
     """Lamp posts, railings, crates and parked cars along a kerb (y towards the road)."""
     metal = finish(rng, "plaster", colour(rng, (0.03, 0.15), (0, 0.4)), 0.7, 0.1)
     x = rng.uniform(1, 4)
@@ -168,7 +165,7 @@ def _railing(at: Place, count: int, metal: Material) -> None:
         at.box((0.05, -0.02, z), (length, 0.01, z + 0.05), metal, "yYzZ")
 
 
-def _car(at: Place, rng: np.random.Generator) -> None:
+def _car(at: Place, rng: Rng) -> None:
     """A parked van of boxes, 1.2 m wide so that the road's middle stays free."""
     paint = finish(rng, "plaster", colour(rng, (0.1, 0.8), (0.1, 0.85)), 1.5, 0.03)
     dark = finish(rng, "plaster", (0.03, 0.03, 0.03), 1.0, 0.2)

@@ -8,9 +8,9 @@ is one interval per face, found by clipping; no depth buffer and no sampling is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.scenes.builder import Array
 from airline.scenes.raster import NEAR
 
 BEHIND = 2e-3  # m behind a face before it hides: a line lies on its own faces
@@ -19,9 +19,7 @@ SIDE = 1.5  # px from the line at which its two sides are compared
 MERGE = 1.5  # px: closer parallel lines are one line to any observer
 
 
-def pipe_outlines(
-    pipes: NDArray[np.float64], radii: NDArray[np.float64], centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def pipe_outlines(pipes: Array, radii: Array, centre: Array) -> Array:
     """(C, 2, 2, 3) float64: per pipe the two lines where rays from `centre` (3,) graze it (NaN from inside)."""
     axis = pipes[:, 1] - pipes[:, 0]
     axis /= np.sqrt(np.sum(axis**2, axis=1, keepdims=True))
@@ -55,13 +53,9 @@ def _pixels_long(a, b, focal):  # type: ignore[no-untyped-def]
 
 @njit()
 def clip_to_view(lines, focal, cx, cy, width, height):  # type: ignore[no-untyped-def]
-    """Cut lines to what lies in front of the camera and inside the image (pixel centres 0..W-1, 0..H-1).
+    """Cut (N, 2, 3) lines in camera coordinates (NaN: none) to what lies before the camera and inside the image.
 
-    Args:
-        lines: (N, 2, 3) float64 camera coordinates; NaN: no line.
-
-    Returns:
-        rows: (M,) int64 rows of `lines`; points: (M, 2, 3) float64 camera coordinates.
+    Returns (M,) int64 rows of `lines` and (M, 2, 3) float64 points.
     """
     rows = np.empty(len(lines), np.int64)
     points = np.empty((len(lines), 2, 3))
@@ -88,14 +82,7 @@ def clip_to_view(lines, focal, cx, cy, width, height):  # type: ignore[no-untype
 
 @njit()
 def remove_hidden(points, inverse, bounds, depths, focal, cx, cy):  # type: ignore[no-untyped-def]
-    """The parts of lines in the view that no face hides.
-
-    Args:
-        points: (M, 2, 3) end points in camera coordinates; the faces as `raster.project_faces` returns them.
-
-    Returns:
-        rows: (K,) int64 rows of `points`; pieces: (K, 2, 3) float64 camera coordinates.
-    """
+    """(K,) int64 rows of (M, 2, 3) `points` and (K, 2, 3) pieces that no face of `raster.project_faces` hides."""
     capacity = 4 * len(points) + 16
     rows = np.empty(capacity, np.int64)
     pieces = np.empty((capacity, 2, 3))
@@ -157,8 +144,8 @@ def _grey_at(grey, x, y):  # type: ignore[no-untyped-def]
 def keep_contrast(rows, pieces, grey, minimum, focal, cx, cy):  # type: ignore[no-untyped-def]
     """The runs of the pieces whose two sides differ by at least `minimum` grey levels in the clean image.
 
-    The difference is averaged over 7 px along the line, and gaps of up to `gap` px are bridged, so that a
-    checkerboard's joint stays whole. A run that ends within `gap` px of its piece takes the piece's end.
+    The difference is averaged over 7 px along the line, and gaps of up to `gap` px are bridged. A run that ends within
+    `gap` px of its piece takes the piece's end.
     """
     gap = 6
     capacity = 4 * len(pieces) + 16
@@ -203,11 +190,7 @@ def keep_contrast(rows, pieces, grey, minimum, focal, cx, cy):  # type: ignore[n
 
 @njit()
 def drop_doubles(pixels):  # type: ignore[no-untyped-def]
-    """(N,) bool: False for a segment that runs within MERGE px of a longer kept one for over half its length.
-
-    Args:
-        pixels: (N, 2, 2) segments, px.
-    """
+    """(N,) bool: False for a segment, px, that runs within MERGE px of a longer kept one for over half its length."""
     delta = pixels[:, 1] - pixels[:, 0]
     length = np.sqrt(delta[:, 0] ** 2 + delta[:, 1] ** 2)
     order = np.argsort(-length)

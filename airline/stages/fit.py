@@ -12,28 +12,23 @@ from airline.config import FitConfig
 from airline.kernels.compiled import njit
 from airline.kernels.threads import ALONE, ThreadTeam
 from airline.lines import LineSet
-from airline.stages.extend_ends import extend_ends
-from airline.stages.join_collinear import join_collinear
+from airline.stages.parts import Parts, join_collinear, residual, split_regions
 from airline.stages.pixels import EdgePixels
-from airline.stages.score_parts import line_scores, score_parts
-from airline.stages.split_regions import residual, split_regions
+from airline.stages.score_parts import extend_ends, line_scores, score_parts
+
+Fitted = tuple[LineSet, NDArray[np.int32]]  # lines, and (M,) the line of each pixel, -1 for none
 
 
 class LineFitter(Protocol):
     """Turns regions of edge pixels into segments."""
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
-        """Segments of the regions.
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
+        """The N lines of the regions, and (M,) int32 the line of each pixel, -1 for none.
 
         Args:
             edge: M edge pixels.
             descriptors: (M, C) float32 unit rows.
             regions: (M,) int32 region of each pixel, -1 for none.
-
-        Returns:
-            The N lines, and (M,) int32 the line of each pixel, -1 for none.
         """
         ...
 
@@ -44,40 +39,32 @@ class TotalLeastSquaresFitter:
 
     A region that bends is cut at its farthest pixel from the chord and each part is fitted alone (Ramer 1972, Douglas
     and Peucker 1973). Neighbouring collinear lines are then joined: pixel moments add up, so a joint fit costs nothing.
-    End points start at the projections of the outermost pixels and move on along the line while the edge map stays
-    above half the line's mean strength: pixels near corners mix two orientations and belong to no region, yet the line
-    runs on to the corner.
+    End points move on along the line while the edge map stays above half the line's mean strength: pixels near corners
+    mix two orientations and belong to no region, yet the line runs on to the corner.
     """
 
     config: FitConfig = field(default_factory=FitConfig)
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
         parts = split_regions(edge.positions, edge.weights, order, offsets, self.config.max_deviation, self.team)
         merged = join_collinear(parts[2], self.config)
-        return self.choose(edge.support, descriptors, *parts, merged)
+        return self.choose(edge.support, descriptors, parts, merged)
 
     def choose(
-        self,
-        support: NDArray[np.float32],
-        descriptors: NDArray[np.float32],
-        rows: NDArray[np.int64],
-        bounds: NDArray[np.int64],
-        moments: NDArray[np.float64],
-        merged: NDArray[np.int64],
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+        self, support: NDArray[np.float32], descriptors: NDArray[np.float32], parts: Parts, merged: NDArray[np.int64]
+    ) -> Fitted:
         """The second half of `fit`: end points, scores, and which parts are lines.
 
         Args:
             support: (H, W) the edge map.
             descriptors: (M, C) of all pixels.
-            rows, bounds, moments: the parts, see `split_regions`; their end points are changed.
-            merged: the part that each part became one with, see `join_collinear`.
+            parts: of `split_regions`; their end points are changed.
+            merged: of `join_collinear`.
         """
+        rows, bounds, moments = parts
         config, scores = self.config, np.empty(len(moments), np.float32)
 
         def extend_and_score(start: int, end: int) -> None:
@@ -98,9 +85,7 @@ class PaperFitter:
     where it opposes the sum so far. The end points are the projection of the farthest pixel, to both sides.
     """
 
-    def fit(
-        self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]
-    ) -> tuple[LineSet, NDArray[np.int32]]:
+    def fit(self, edge: EdgePixels, descriptors: NDArray[np.float32], regions: NDArray[np.int32]) -> Fitted:
         """See `LineFitter.fit`."""
         order, offsets = group(regions)
         segments = _paper_fit(edge.positions, order, offsets)
@@ -141,18 +126,14 @@ def group(labels):  # type: ignore[no-untyped-def]
 
 @njit()
 def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore[no-untyped-def]
-    """Line of each pixel by its part, and the mean descriptor of each line's pixels.
+    """(M,) int32 line of each pixel by its part, -1 for none, and (N, C) float32 unit mean descriptor of each line.
 
     Args:
-        rows: (K,) int64 pixels, those of a part together.
-        bounds: (P, 2) int64 where each part begins and ends among them.
+        rows, bounds: (K,) and (P, 2) int64, see `split_regions`.
         lines_of: (P,) int32 line of each part, -1 for none.
-        descriptors: (M, C) float32 of all pixels.
-        count: N, number of lines.
+        descriptors: (M, C) float32.
+        count: N.
         channels: see `_channels`.
-
-    Returns:
-        (M,) int32, -1 for none, and (N, C) float32 unit rows.
     """
     labels = np.full(len(descriptors), -1, np.int32)
     sums = np.zeros((count, len(channels)), np.float32)
@@ -178,9 +159,7 @@ def _vote(rows, bounds, lines_of, descriptors, count, channels):  # type: ignore
 
 @njit()
 def _choose(moments, owner, scores, min_length, min_score):  # type: ignore[no-untyped-def]
-    """(P,) int32 line of each part, -1 for none; segments, scores and residuals of the survivors that are long and sure
-    enough.
-    """
+    """(P,) int32 line of each part, -1 for none; segments, scores and residuals of the long and sure survivors."""
     count = len(moments)
     numbers = np.full(count, -1, np.int32)
     segments, sure, residuals = np.empty((count, 2, 2), np.float32), np.empty_like(scores), np.empty_like(scores)

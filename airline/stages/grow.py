@@ -17,8 +17,7 @@ class RegionGrower:
     """Groups 8-connected edge pixels of similar orientation.
 
     A region starts at an unused seed. An unused neighbour p joins while `D_p . mean(D_R) / |mean(D_R)| >= T`; it is
-    then used, and the mean follows. Every pixel belongs to at most one region, and the result depends on nothing but
-    the arguments.
+    then used, and the mean follows. Every pixel belongs to at most one region.
 
     Attributes:
         config: T and m; pixels of regions that are dropped stay used.
@@ -29,17 +28,9 @@ class RegionGrower:
     seed_threshold: float = 0.0
 
     def grow(self, edge: EdgePixels, descriptors: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Region of each edge pixel.
+        """(M,) int32 region of each of M edge pixels, from 0 in raster order of their seeds; -1 for none.
 
-        Args:
-            edge: M edge pixels.
-            descriptors: (M, C) float32 unit rows.
-
-        Returns:
-            (M,) int32 region numbers from 0 in raster order of their seeds, -1 for pixels in no region.
-
-        Raises:
-            ValueError: the pixels are not in raster order.
+        `descriptors` are (M, C) float32 unit rows; raises ValueError where the pixels are not in raster order.
         """
         shape, least = edge.support.shape, np.float32(self.seed_threshold)
         kind = np.dtype(np.uint16 if shape[1] < 1 << 16 else np.uint32)
@@ -53,16 +44,7 @@ ONE, TWO = np.uint64(1), np.uint64(2)
 
 @njit()
 def _grow(shape, kind, pixels, weights, descriptors, seed_threshold, similarity, min_pixels, channels):  # type: ignore[no-untyped-def]
-    """Labels, (M,) int32.
-
-    Args:
-        shape: (H, W).
-        kind: dtype that holds the number of a row's pixels.
-        pixels: (M, 2) int32 (x, y).
-        weights: (M,) float32.
-        descriptors: (M, C) float32.
-        channels: (0, 1, ..., C - 1), as loops over tuples unroll.
-    """
+    """(M,) int32 labels; `kind` is a dtype that holds the number of a row's pixels, loops over `channels` unroll."""
     height, width = shape
     count = len(pixels)
     labels = np.full(count, -1, np.int32)

@@ -20,23 +20,17 @@ class OrientationDetector(Protocol):
     """Describes which way the edge runs at each edge pixel."""
 
     def describe(self, edges: NDArray[np.float32], gray: Gray, pixels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Descriptors at given pixels.
+        """(M, C) float32 descriptors at (M, 2) int32 pixels (x, y), rows of unit length (zero where the map is empty).
 
-        Args:
-            edges: (H, W) float32 edge probability.
-            gray: (H, W) the image itself.
-            pixels: (M, 2) int32 (x, y).
-
-        Returns:
-            (M, C) float32 rows of unit length (zero where the map is empty).
+        `edges` is the (H, W) float32 edge probability, `gray` the (H, W) image itself.
         """
         ...
 
 
 def line_kernels(channels: int, size: int) -> NDArray[np.float32]:
-    """(channels, size, size) kernels, each a one-pixel-wide line through the centre at n * 180 / channels degrees.
+    """(channels, size, size) kernels, each a line of `size` pixels through the centre at n * 180 / channels degrees.
 
-    Angles turn from x (right) towards y (down). Every line has `size` pixels: one per step along its major axis.
+    Angles turn from x (right) towards y (down).
     """
     kernels = np.zeros((channels, size, size), np.float32)
     steps = np.arange(size) - size // 2

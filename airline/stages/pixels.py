@@ -55,12 +55,10 @@ class ThresholdPixels:
 
 @dataclass(frozen=True)
 class RidgePixels:
-    """The ridge line of a soft edge map with sub-pixel positions (Steger 1998, "An unbiased detector of curvilinear
-    structures").
+    """The ridge line of a soft edge map with sub-pixel positions (Steger 1998).
 
     A pixel is kept where the quadratic approximation of the smoothed map has its maximum across the ridge within
-    the pixel. Smoothing, of 3 px where the settings say "auto", makes one ridge of binary and of several-pixel-wide
-    edges too.
+    the pixel. Smoothing makes one ridge of binary and of several-pixel-wide edges too.
     """
 
     config: EdgeConfig = field(default_factory=EdgeConfig)
@@ -86,10 +84,7 @@ REACH = np.float32(0.6)  # px: half a pixel, and some more, so that diagonal rid
 
 @njit()
 def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def]
-    """Ridge pixels of rows `start` to `end`: (M, 2) int32, positions (M, 2) float32 and weights (M,) float32.
-
-    `smooth` and `edges` are (H, W) float32.
-    """
+    """(M, 2) int32 ridge pixels of rows `start` to `end` of (H, W) float32 maps; float32 positions and weights."""
     height, width = edges.shape
     capacity = 0
     for y in range(start, end):
@@ -129,11 +124,8 @@ def _ridge(smooth, edges, threshold, start, end):  # type: ignore[no-untyped-def
 def _ridge_steps(rows, edges, threshold, steps):  # type: ignore[no-untyped-def]
     """Set `steps`, (3, W) float32: from each pixel to the ridge in x and y and the greater of both, px; 2 for none.
 
+    `rows` (3, W + 2) float32 are the row and its neighbours with a margin, `edges` (W,) the row before smoothing.
     Without branches, so that it compiles to SIMD instructions.
-
-    Args:
-        rows: (3, W + 2) float32, the row and its neighbours with a margin.
-        edges: (W,) float32 the row before smoothing.
     """
     above, here, below = rows[0], rows[1], rows[2]
     a0, a1, a2 = above[:-2], above[1:-1], above[2:]

@@ -1,10 +1,8 @@
 """Stage 5: lines moved by fractions of a pixel to where the image changes fastest.
 
-The edge map knows which structure is a line, and in the dark it is all there is; where exactly the line runs, the grey
-levels tell better. A line is cut into chunks; the profiles across a chunk are averaged, so that noise cancels; the
-extremum of the mean profile's slope gives the chunk's offset, and its error follows from the profiles' scatter. One
-weighted least-squares fit of shift and turn, drawn towards zero, then moves the line: much where the image is clear,
-hardly where it is not.
+A line is cut into chunks; the profiles across a chunk are averaged; the extremum of the mean profile's slope gives the
+chunk's offset, and its error follows from the profiles' scatter. One weighted least-squares fit of shift and turn,
+drawn towards zero, then moves the line: much where the image is clear, hardly where it is not.
 """
 
 from __future__ import annotations
@@ -38,12 +36,7 @@ class ImageRefiner:
     team: ThreadTeam = field(default=ALONE, repr=False, compare=False)
 
     def refine(self, lines: LineSet, gray: Gray) -> LineSet:
-        """The lines at their refined places.
-
-        Args:
-            lines: N lines, px.
-            gray: (H, W) uint8 or uint16, the image.
-        """
+        """The N lines at their refined places in a (H, W) uint8 or uint16 image."""
         height, width = gray.shape
         if self.config.max_shift == 0 or min(height, width) <= 2 * MARGIN:
             return lines
@@ -118,10 +111,7 @@ def _has_profile(width, height, x, y):  # type: ignore[no-untyped-def]
 def _chunk(levels, count, start, end):  # type: ignore[no-untyped-def]
     """Offset of the edge across a chunk and its variance, px and px squared; variance -1 where it cannot be told.
 
-    Args:
-        levels: float32 grey levels, `count` samples along the line at -2.5 px across it, then as many at -1.5 px, to
-            2.5 px.
-        start, end: the chunk's samples.
+    `levels` float32 are `count` samples along the line at -2.5 px across it, then as many at -1.5 px, to 2.5 px.
     """
     if end - start < 2:
         return 0.0, -1.0

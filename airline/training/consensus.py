@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.evaluation.repeatability import corners
+from airline.evaluation.metrics import corners
 from airline.kernels.compiled import njit
 
 SUPPORT_DISTANCE = 2.0  # px, between a point of a line and a line of another view
@@ -22,11 +22,7 @@ MIN_LENGTH = 8.0  # px
 
 
 def detect_lsd(gray: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.float32]:
-    """(N, 2, 2) segments of OpenCV's LSD, px, pixel centres at integers.
-
-    The full image and no test for meaningfulness find the short and faint lines that LSD's own settings drop; the
-    views sort out which of them are lines.
-    """
+    """(N, 2, 2) segments of OpenCV's LSD, px, pixel centres at integers; all of them, since the views sort them out."""
     lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_NONE, scale=scale).detect(gray)[0]
     if lines is None:
         return np.zeros((0, 2, 2), np.float32)
@@ -37,10 +33,7 @@ def detect_lsd(gray: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.float3
 
 
 def random_view(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float64]:
-    """(3, 3) homography from the image to a random view of it: rotation, mirror, scale and perspective.
-
-    Turns by any angle and mirroring make the detector's own bias cancel in the mean over the views.
-    """
+    """(3, 3) homography from the image to a random view of it: any angle, mirror, scale and perspective."""
     centre = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1.0]])
     angle, scale = rng.uniform(-np.pi, np.pi), np.exp(rng.uniform(np.log(0.6), np.log(1.6)))
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections import deque
 from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +14,7 @@ from kornia.filters import get_motion_kernel2d
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.kernels.threads import map_ahead
 from airline.network.unet import normalise
 from airline.training.dataset import Sample
 
@@ -56,15 +55,7 @@ class Crops:
 
     def ahead(self, first: int, workers: int = 1) -> Generator[Batch, None, None]:
         """Batches from step `first` on, without end; threads make them ahead, and their number changes nothing."""
-        with ThreadPoolExecutor(workers) as pool:
-            waiting = deque(pool.submit(self.at, first + k) for k in range(2 * workers + 1))
-            try:
-                for step in itertools.count(first + len(waiting)):
-                    yield waiting.popleft().result()
-                    waiting.append(pool.submit(self.at, step))
-            finally:
-                for batch in waiting:
-                    batch.cancel()
+        return map_ahead(self.at, itertools.count(first), workers)
 
 
 def random_crop(
@@ -72,9 +63,7 @@ def random_crop(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
     """A randomly turned, scaled, mirrored crop of a sample under random light.
 
-    Returns:
-        (size, size) uint8 image, (size, size) float32 soft edge map, (size, size) bool mask of the pixels that lie
-        inside the photograph.
+    (size, size) each: uint8 image, float32 soft edge map, bool mask of the pixels that lie inside the photograph.
     """
     height, width = sample.gray.shape
     scale = float(np.exp(rng.uniform(np.log(0.7), np.log(1.5))))
@@ -150,10 +139,7 @@ def _draw(segments, shares, target):  # type: ignore[no-untyped-def]
 def pixel_weights(
     target: NDArray[np.float32], inside: NDArray[np.bool_], weight: float, radius: int
 ) -> NDArray[np.float32]:
-    """How much each pixel counts: `(1 - w) + w * dilate_r(Y > 0)` (equation 1 of the AirLine paper).
-
-    Pixels within `radius` of a line weigh 1, the others 1 - w, so that false positives far from any line cost little
-    and edges stay continuous. Pixels outside the photograph weigh nothing.
+    """How much each pixel counts: `(1 - w) + w * dilate_r(Y > 0)` (equation 1 of the AirLine paper), outside nothing.
 
     Args:
         target: (H, W) soft edge map Y.

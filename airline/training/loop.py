@@ -1,4 +1,4 @@
-"""The training loop, its loss, and how long it runs and how fast it learns."""
+"""The training loop, its loss and schedule, and how good the network is meanwhile on samples held out."""
 
 from __future__ import annotations
 
@@ -7,14 +7,29 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.nn import functional
 
-from airline.errors import ConfigError
+from airline.detector import AirLine
+from airline.errors import ConfigError, InputError
+from airline.evaluation.metrics import PixelScores, mean, pixel_scores
+from airline.image import scale_points
 from airline.network.unet import UNet
-from airline.training.crops import Crops
+from airline.stages.edges import UNetEdges
+from airline.training.crops import Batch, Crops, draw_labels
+from airline.training.dataset import Sample
+
+MAX_PHOTOGRAPHS = 60
+TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
+SEED = 12345  # of the crops for the loss
+BATCHES = 4  # of them
+PANEL = (400, 400)  # px, largest width and height of one picture in a sheet
 
 
 @dataclass(frozen=True)
@@ -83,13 +98,7 @@ def find_device(name: str) -> torch.device:
 
 
 def edge_loss(logits: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Weighted mean of the binary cross entropy with soft targets, a scalar.
-
-    Args:
-        logits: (B, 1, H, W) predictions before the sigmoid.
-        target: (B, 1, H, W) in [0, 1].
-        weights: (B, 1, H, W) of `pixel_weights`.
-    """
+    """Weighted mean binary cross entropy with soft targets; all (B, 1, H, W), logits before the sigmoid."""
     total = functional.binary_cross_entropy_with_logits(logits.float(), target, weights, reduction="sum")
     return total / weights.sum()
 
@@ -97,16 +106,9 @@ def edge_loss(logits: torch.Tensor, target: torch.Tensor, weights: torch.Tensor)
 def train(
     state: State, crops: Crops, schedule: Schedule, after_step: Callable[[float], bool] = lambda loss: False
 ) -> None:
-    """Train from where `state` stands to the end of the schedule.
+    """Train from where `state` stands to the end of the schedule; ConfigError if the loss is no finite number any more.
 
-    Args:
-        state: changed in place.
-        crops: what to learn from.
-        schedule: how long, and how fast.
-        after_step: called with the loss after every step; True stops the training, ready to go on later.
-
-    Raises:
-        ConfigError: the loss is no finite number any more.
+    `after_step` is called with the loss after every step; True stops the training, ready to go on later.
     """
     net, optimiser, device = state.net, state.optimiser, state.device
     started = time.monotonic() - state.seconds
@@ -131,3 +133,75 @@ def train(
                 raise ConfigError(f"the loss is {value} at step {state.step}: start again with another --seed")
             if after_step(value):
                 break
+
+
+def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
+    """Held-out photographs, one in twenty and at most 60, and the others; a single photograph is in both."""
+    count = min(MAX_PHOTOGRAPHS, max(1, len(photographs) // 20))
+    return photographs[:count], photographs[count:] or photographs
+
+
+class Validation:
+    """Measures networks on the same held-out samples, always in the same way."""
+
+    def __init__(self, photographs: list[Sample], scenes: list[Sample], crops: Crops) -> None:
+        """Keep the samples, and make the crops on which the loss is measured, as `crops` makes them."""
+        self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
+        own = {kind: replace(crops, samples=samples, seed=SEED) for kind, samples in self._kinds.items()}
+        self._crops = {kind: [each.at(step) for step in range(BATCHES)] for kind, each in own.items()}
+
+    def measure(self, net: UNet, device: torch.device) -> dict[str, tuple[float, PixelScores]]:
+        """By kind of sample: mean loss on fixed crops, and scores of the detector's lines against trusted labels."""
+        (plain, detector), found = _ready(net, device), {}
+        for kind, samples in self._kinds.items():
+            scores = []
+            for sample in samples:
+                trusted = sample.pieces[sample.shares >= TRUSTED]
+                scores.append(pixel_scores(detector(sample.gray).segments, trusted, trusted, sample.gray.shape))
+            found[kind] = _mean_loss(plain, self._crops[kind], device), mean(scores)
+        return found
+
+    def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
+        """A picture of three photographs and a scene (four photographs without scenes); raises InputError."""
+        photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
+        few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
+        _, detector = _ready(net, device)
+        if not cv2.imwrite(str(path), np.concatenate([_sheet_row(sample, detector) for sample in few])):
+            raise InputError(f"cannot write {path}: make room, or give an --out elsewhere")
+
+
+@torch.inference_mode()
+def _mean_loss(net: UNet, crops: list[Batch], device: torch.device) -> float:
+    losses = []
+    for batch in crops:
+        image, target, weights = (part.to(device) for part in batch)
+        losses.append(edge_loss(net(image.contiguous(memory_format=torch.channels_last)), target, weights).item())
+    return float(np.mean(losses))
+
+
+def _sheet_row(sample: Sample, detector: AirLine) -> NDArray[np.uint8]:
+    """One row of a sheet, BGR: the image, its labels, the edges found and the lines found."""
+    trace, gray = detector.trace(sample.gray), sample.gray
+    scale = min(side / length for side, length in zip(PANEL, gray.shape[::-1], strict=True))
+    maps = draw_labels(sample.pieces, sample.shares, gray.shape), trace.edges
+    pictures = gray, *((255 * each).astype(np.uint8) for each in maps), gray // 2
+    *panels, dim = (_panel(picture, scale) for picture in pictures)
+    for start, end in np.rint(scale_points(trace.lines.segments, scale) * 16).astype(int).tolist():
+        cv2.line(dim, start, end, (80, 220, 255), 1, cv2.LINE_AA, 4)
+    return np.concatenate([*panels, dim], axis=1)
+
+
+def _panel(gray: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """A grey image at the left of a BGR panel with a rim; all panels are equally wide."""
+    width, height = (max(1, round(side * scale)) for side in gray.shape[::-1])
+    panel = np.full((height + 4, PANEL[0] + 4, 3), 40, np.uint8)
+    panel[:height, :width] = cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA)[:, :, None]
+    return panel
+
+
+def _ready(net: UNet, device: torch.device) -> tuple[UNet, AirLine]:
+    """The network for inference, and a detector with it; `net` stays as it is."""
+    training = net.training
+    plain: UNet = net.folded().to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    net.train(training)  # folding looks at batch normalisation in evaluation mode
+    return plain, AirLine(edges=UNetEdges(plain, "cuda" if device.type == "cuda" else "torch"))

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import logging
+import pickle
 import signal
 import threading
 import time
-from collections.abc import Iterator
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from airline.training import checkpoint
+from airline.errors import InputError
 from airline.training.crops import Crops
-from airline.training.loop import Schedule, State, train
-from airline.training.validation import Validation
+from airline.training.loop import Schedule, State, Validation, train
 
 log = logging.getLogger("airline.train")
+
+Settings = Mapping[str, str | int | float | None]  # by the name of the option
+LENGTHS = ("--steps", "--minutes")
 LOG_EVERY = 30.0  # s, where no terminal shows a bar
+COUNTERS = ("step", "seconds", "best", "best_step")  # of the state
+DAMAGE = (OSError, EOFError, LookupError, RuntimeError, TypeError, ValueError, pickle.UnpicklingError,
+          zipfile.BadZipFile, zlib.error)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,17 +48,13 @@ class Session:
     schedule: Schedule
     validation: Validation
     validate_every: float
-    settings: checkpoint.Settings
+    settings: Settings
     checkpoint: Path
     sheets: Path
 
     def run(self, state: State, crops: Crops) -> bool:
-        """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it before.
-
-        Raises:
-            AirLineError: the checkpoint does not fit, a file cannot be written, or the loss is not finite any more.
-        """
-        checkpoint.restore(state, self.settings, self.checkpoint)
+        """Train to the end, from the checkpoint if there is one; False if Ctrl-C stopped it; raises AirLineError."""
+        restore(state, self.settings, self.checkpoint)
         console, steps = Console(stderr=True), f"/{self.schedule.steps}" if self.schedule.steps else ""
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
         first, smoothed, score = state.step, 0.0, ""
@@ -69,7 +74,7 @@ class Session:
                     log.info("%s", text)
                 if now - validated >= self.validate_every and done < 1:
                     score = self._validate(state)
-                    checkpoint.save(state, self.settings, False, self.checkpoint)
+                    save(state, self.settings, False, self.checkpoint)
                     validated = time.monotonic()
                 return asked.is_set()
 
@@ -77,7 +82,7 @@ class Session:
             finished = self.schedule.done(state.step, state.seconds) >= 1
             if finished:
                 self._validate(state)
-            checkpoint.save(state, self.settings, finished, self.checkpoint)
+            save(state, self.settings, finished, self.checkpoint)
         if not finished:
             log.info("stopped at step %d: the same command goes on from %s", state.step, self.checkpoint)
         return finished
@@ -112,3 +117,62 @@ def first_interrupt() -> Iterator[threading.Event]:
         yield asked
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def save(state: State, settings: Settings, finished: bool, path: Path) -> None:
+    """Write a checkpoint, complete or not at all; InputError where that fails."""
+    content = {
+        "settings": dict(settings),
+        "finished": finished,
+        "net": state.net.state_dict(),
+        "optimiser": state.optimiser.state_dict(),
+        **{name: getattr(state, name) for name in COUNTERS},
+    }
+    partial = path.with_name(path.name + ".partial")
+    try:
+        torch.save(content, partial)
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"cannot write {path} ({_short(error)}): make room, or give an --out elsewhere") from None
+
+
+def restore(state: State, settings: Settings, path: Path) -> None:
+    """Bring a fresh state to where the checkpoint, if any, stands; InputError if it is damaged or does not fit."""
+    if not path.exists():
+        return
+    try:
+        with zipfile.ZipFile(path) as archive:  # torch itself does not look at the checksums
+            if archive.testzip() is not None:
+                raise ValueError("wrong checksum")
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(content, dict):
+            raise TypeError(f"it holds a {type(content).__name__}")
+    except DAMAGE as error:
+        raise InputError(f"the checkpoint {path} is damaged ({_short(error)}): delete it to start again") from None
+    try:
+        _check(content["settings"], settings, content["finished"], path)
+        state.net.load_state_dict(content["net"])
+        state.optimiser.load_state_dict(content["optimiser"])
+        for name in COUNTERS:
+            setattr(state, name, content[name])
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        reason = f"is no checkpoint of this training ({_short(error)})"
+        raise InputError(f"{path} {reason}: delete it to start again") from None
+    log.info("going on at step %d from %s", state.step, path)
+
+
+def _check(stored: Settings, settings: Settings, finished: bool, path: Path) -> None:
+    changed = {key: (stored[key], settings[key]) for key in settings if stored[key] != settings[key]}
+    for key, (before, now) in changed.items():
+        if len(changed) == 1 and key in LENGTHS and finished and float(now or 0) > float(before or 0):
+            log.info("the finished training is extended from %s %s to %s, on the schedule of the new length",
+                     key, before, now)  # fmt: skip
+            return
+    if changed:
+        differences = ", ".join(f"{key} was {before} and is {now}" for key, (before, now) in changed.items())
+        advice = "repeat them to go on, or delete the file to start again"
+        raise InputError(f"{path} was made with other settings ({differences}): {advice}")
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:160]

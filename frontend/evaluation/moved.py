@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from airline.detector import AirLine
 from airline.errors import InputError
-from airline.evaluation.repeatability import warp
+from airline.evaluation.metrics import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.truth import Clip, Truth

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError
 from airline.evaluate import main
-from airline.evaluation.benchmark import lsd, measure
+from airline.evaluation.benchmark import BAD_LIGHT, BadLight, darken, lsd, measure, motion_blur, overexpose
 from airline.evaluation.dataset import list_images, load_dataset, read_lines
-from airline.evaluation.light import BAD_LIGHT, BadLight, darken, motion_blur, overexpose
-from airline.evaluation.repeatability import clip, compare, corners, match, measure_pairs, random_view, warp
+from airline.evaluation.metrics import clip, compare, corners, match, measure_pairs, random_view, warp
 
 SHAPE = (120, 160)
 SCORE_KEYS = ["lp", "p2", "r2", "f2", "f1", "lines"]

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from airline.stages.split_regions import split_regions
+from airline.stages.parts import split_regions
 
 DEVIATION = 2.5
 Points = NDArray[np.float64]

@@ -13,19 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline.errors import ConfigError
+from airline.kernels.atomics import bounds, finish, next_part, wait
 from airline.kernels.compiled import njit
-from airline.network.native import memory
 from airline.network.native import network as native
+from airline.network.native import network as native_network
 from airline.network.native.network import NativeNetwork
 from airline.network.native.quantise import LARGEST, MOST, quantise
-from airline.network.native.scheduler import bounds, finish, next_part, wait
-from airline.network.processor import AVX2, AVX2_VNNI, AVX512_VNNI, Isa, _has, vector_instructions
-from airline.network.runtimes import open_network
+from airline.network.runtimes import AVX2, AVX2_VNNI, AVX512_VNNI, Isa, _has, open_network, vector_instructions
 from airline.network.spec import SPECS, UNetSpec
 from airline.network.torch_runtimes import TorchNetwork
-from airline.network.unet import UNet
+from airline.network.unet import UNet, measure_ranges
 from airline.network.weights import load_ranges, load_weights, save_unet
-from airline.training.ranges import measure_ranges
 from tests.helpers.edges import pictures
 
 if vector_instructions() is None:
@@ -100,7 +98,7 @@ def test_nothing_is_written_beyond_the_maps(tmp_path: Path, spec: UNetSpec, monk
         room[:] = 0
         return room.reshape(shape)
 
-    monkeypatch.setattr(memory, "_room", guarded)
+    monkeypatch.setattr(native_network, "_room", guarded)
     rng, net = np.random.default_rng(0), UNet(spec).eval()
     save_unet(net, tmp_path / "net.safetensors", measure_ranges(net, [rng.integers(0, 256, (64, 64), np.uint8)]))
     for isa, feature in ISAS.values():

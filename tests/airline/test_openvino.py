@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airline.network.processor import has_bf16
+from airline.network.runtimes import has_bf16
 from airline.network.spec import SIZES, SPECS, UNetSpec
 from airline.network.torch_runtimes import TorchNetwork
 from airline.network.unet import UNet

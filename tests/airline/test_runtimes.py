@@ -16,9 +16,8 @@ from airline import AirLine
 from airline.config import Runtime
 from airline.errors import ConfigError, WeightsError
 from airline.evaluation.metrics import pixel_scores
-from airline.network import processor
-from airline.network.processor import AVX2, AVX2_VNNI, AVX512_VNNI, Isa, has_bf16, vector_instructions
-from airline.network.runtimes import open_network
+from airline.network import runtimes
+from airline.network.runtimes import AVX2, AVX2_VNNI, AVX512_VNNI, Isa, has_bf16, open_network, vector_instructions
 from airline.network.spec import SPECS
 from airline.network.torch_runtimes import CudaNetwork, TorchNetwork
 from airline.network.unet import UNet
@@ -118,7 +117,7 @@ def test_without_openvino_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_what_the_processor_has(
     monkeypatch: pytest.MonkeyPatch, features: set[str], limit: str | None, bf16: bool, isa: Isa | None
 ) -> None:
-    monkeypatch.setattr(processor, "_has", lambda feature: feature in features)
+    monkeypatch.setattr(runtimes, "_has", lambda feature: feature in features)
     monkeypatch.delenv("ONEDNN_MAX_CPU_ISA", raising=False)
     if limit is not None:
         monkeypatch.setenv("ONEDNN_MAX_CPU_ISA", limit)

@@ -8,7 +8,7 @@ import pytest
 
 from airline import AirLine
 from airline.config import DetectorConfig, FitConfig
-from airline.evaluation.light import darken
+from airline.evaluation.benchmark import darken
 from airline.evaluation.metrics import distance_to, draw
 from airline.stages.score_parts import SHORT, line_scores
 from airline.training.dataset import HELD_OUT_SEED, render_sample

@@ -19,7 +19,7 @@ from safetensors import safe_open
 from airline.network.spec import SPECS
 from airline.network.weights import load_ranges, load_unet
 from airline.train import main
-from airline.training.validation import Validation
+from airline.training.loop import Validation
 from tests.helpers.command import ROOT, read_screen
 from tests.helpers.pictures import picture
 

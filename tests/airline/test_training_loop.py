@@ -12,11 +12,10 @@ from airline.network.spec import SPECS, UNetSpec
 from airline.network.unet import UNet
 from airline.network.weights import load_unet, save_unet
 from airline.stages.edges import UNetEdges
-from airline.training import checkpoint
+from airline.training import session as checkpoint
 from airline.training.crops import Crops
 from airline.training.dataset import Sample
-from airline.training.loop import Schedule, State, edge_loss, find_device, train
-from airline.training.validation import Validation, split
+from airline.training.loop import Schedule, State, Validation, edge_loss, find_device, split, train
 from tests.helpers.pictures import labelled, picture
 
 SMALL = UNetSpec((8, 16, 32))

@@ -12,9 +12,8 @@ from safetensors.torch import save_file
 import airline.network.weights
 from airline import WeightsError
 from airline.network.spec import UNetSpec
-from airline.network.unet import UNet, normalise
+from airline.network.unet import BEYOND, UNet, _of_most, measure_ranges, normalise
 from airline.network.weights import BUNDLED, bundled_path, load_ranges, load_unet, load_weights, save_unet
-from airline.training.ranges import BEYOND, _of_most, measure_ranges
 
 WRONG = ["[]", "[true]", "[1.5]", "16", '{"a": 1}', "[16", "[0]", "[" * 9999, "[4, 4, 4, 4, 4, 4, 4, 4, 4]"]
 

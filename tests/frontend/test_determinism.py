@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from airline.network.processor import vector_instructions
+from airline.network.runtimes import vector_instructions
 from tests.helpers.command import ROOT
 
 OURS = [] if vector_instructions() is None else ["native"]

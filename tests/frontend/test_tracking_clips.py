@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from airline.errors import InputError
-from airline.evaluation.repeatability import warp
+from airline.evaluation.metrics import warp
 from airline.scenes import RenderedClip
 from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
 from frontend.evaluation.rendered import RADIUS, SceneClip, cut_by_discs, occlude, occluder_discs, rendered_clips

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
-from airline.stages.split_regions import residual, split_regions
+from airline.stages.parts import residual, split_regions
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
 from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances

@@ -1,19 +1,17 @@
-"""The network from the image to the edge map, as phases of `scheduler`.
+"""The network from the image to the edge map, as phases of `airline.kernels.atomics`.
 
 The first phase is the input; then comes a level after the other on the way down, each with the largest of each four
-pixels for the next; then on the way up, and the last phase writes the edge map. Sources and targets are addresses;
-strides and what lies `apart` are in bytes.
+pixels for the next; then on the way up. Sources and targets are addresses; strides and what lies `apart` are in bytes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from airline.kernels.atomics import bounds, finish, next_part, wait
 from airline.kernels.compiled import njit
 from airline.network.native.image import fill_rows
-from airline.network.native.microkernels import BLOCK, BYTES, FLOATS, LOGITS, PIXEL, add_coarse, fill, pool, tile
-from airline.network.native.scheduler import bounds, finish, next_part, wait
-from airline.network.native.vectors import TILE
+from airline.network.native.microkernels import BLOCK, BYTES, FLOATS, LOGITS, PIXEL, TILE, add_coarse, fill, pool, tile
 
 # columns of the table of levels: rows and columns; from a row to the next, bytes; groups of channels; addresses of what
 # its first layer takes, with a margin of a pixel, of the maps on the way down and up, and of smoothed copies
@@ -45,14 +43,13 @@ def take_image(gray, mean, blocks, copies, columns, marks, who, threads):  # typ
 
 @njit()
 def run_layers(isa, levels, layers, shares, zeros, scratch, edges, marks, who, threads):  # type: ignore[no-untyped-def]
-    """Our share of the others.
+    """Our share of the others; fills `edges`, (H, W) float32.
 
     Args:
-        isa: see `airline.network.processor`.
-        levels, layers, scratch: see `airline.network.native.memory.Memory`.
+        isa: see `airline.network.runtimes`.
+        levels, layers, scratch: see `airline.network.native.network.Memory`.
         shares, zeros: see `airline.network.native.quantise.Quantised`.
-        edges: (H, W) float32, which is filled.
-        marks: see `airline.network.native.scheduler`.
+        marks: see `airline.kernels.atomics`.
         who, threads: which thread of how many.
     """
     count = len(levels)
@@ -144,13 +141,11 @@ def _convolve(isa, kind, layer, turn, source, target, apart, columns):  # type: 
     """A row of a convolution.
 
     Args:
-        isa: see `airline.network.processor`.
         kind: of answer, see `airline.network.native.microkernels`.
         layer: (6,) int64 row of the table.
         turn: which of the layer's lists of terms to take.
         source: what the terms are added to for the first pixel.
-        target: of the answer's first group, or plane of floats.
-        apart: from a group or plane to the next.
+        target, apart: of the answer's first group, or plane of floats, and from it to the next.
         columns: how many pixels; what is written beyond them, up to the next whole tile, means nothing.
     """
     outputs = len(kind[0])

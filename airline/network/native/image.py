@@ -16,15 +16,12 @@ FOUR = np.uint32(0x01010101)  # times a byte: the byte four times
 def fill_rows(gray, mean, blocks, copies, columns, first, last):  # type: ignore[no-untyped-def]
     """Fill rows `first` to `last` of the first layer's input, and the margin beside them.
 
-    The image's last row and column are repeated as far as the network's stride needs, as by `UNet.answer`.
-
     Args:
-        gray: (H, W) uint8.
+        gray: (H, W) uint8, whose last row and column are repeated up to the network's stride.
         mean: of its pixels, float32.
-        blocks: (rows + 2, stride) uint32, the four pixels of each block of 2x2, row by row; with a margin of a pixel,
-            which becomes the mean.
+        blocks: (rows + 2, stride) uint32, the four pixels of each block of 2x2, row by row; a margin of the mean.
         copies: (groups, rows + 2, stride, 2) int16, smoothed copies less the mean in pairs, not doubled as by
-            `UNet._smoothed`; with a margin of zeros.
+            `UNet._smoothed`; a margin of zeros.
         columns: of blocks.
         first, last: of the rows without the margin.
     """
@@ -71,11 +68,7 @@ def fill_rows(gray, mean, blocks, copies, columns, first, last):  # type: ignore
 
 @njit(fastmath=True, inline="always")
 def box_mean(image, radius, means):  # type: ignore[no-untyped-def]
-    """Mean of the square around each pixel, as far as the square lies in the image; both (h, w) float32.
-
-    Inlined, so that there is one copy: a caller from the cache had another one than a fresh caller, whose sums were
-    rounded otherwise.
-    """
+    """Mean of the square around each pixel, as far as the square lies in the image; both (h, w) float32."""
     rows, columns = image.shape
     sums = np.zeros(columns + 2 * radius, np.float32)
     share = np.empty(columns, np.float32)

@@ -57,18 +57,17 @@ def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges:
     """Whole numbers for a network.
 
     Args:
-        spec, weights: see `airline.network.weights.load_weights`.
-        ranges: see `airline.network.weights.load_ranges`.
+        spec, weights, ranges: see `airline.network.weights`.
         largest: of the 8-bit weights, at most 127.
     """
-    layers, last = _Layers(weights, largest), spec.levels - 1
+    first, pixels, last = weights["down.0.0.weight"], spec.unshuffle**2, spec.levels - 1
+    layers = _Layers({**weights, "down.0.0.weight": first[:, :pixels]}, largest)
     # what 1 in each map stands for: on the way down, and, from the next but one layer's point of view, on the way up
     units = [_unit(0, ranges[f"down.{level + 1}.0"][1]) for level in range(last)]
     units.append(_unit(0, ranges[f"lateral.{last - 1}"][1]))
     up_units = [_unit(0, ranges["head" if level == 0 else f"lateral.{level - 1}"][1]) for level in range(last)]
     up_units.append(units[last])
-    pixels = spec.unshuffle**2
-    down = [layers.of_bytes("down.0.0", 1.0, units[0], inputs=pixels)]
+    down = [layers.of_bytes("down.0.0", 1.0, units[0])]
     down += [layers.of_bytes(f"down.{level + 1}.0", units[level], units[level + 1]) for level in range(last)]
     lateral, up, shares, zeros = [], [], [], []
     for level in range(last):
@@ -80,7 +79,7 @@ def quantise(spec: UNetSpec, weights: Mapping[str, NDArray[np.float32]], ranges:
         shares.append(units[level] / unit)
         zeros.append(zero)
     head = layers.of_bytes("head", up_units[0], 1.0, answer_zero=-ROUNDING, block=4)
-    copies = layers.of_words("down.0.0", pixels, units[0])
+    copies = _of_words(first[:, pixels:], units[0])
     return Quantised(down, lateral, up, head, copies, np.array(shares, np.float32), np.array(zeros, np.int64))
 
 
@@ -97,35 +96,28 @@ class _Layers:
     largest: int
 
     def of_bytes(
-        self,
-        name: str,
-        unit: float,
-        answer: float,
-        zero: int = 0,
-        answer_zero: float = 0,
-        block: int = BLOCK,
-        inputs: int | None = None,
+        self, name: str, unit: float, answer: float, zero: int = 0, answer_zero: float = 0, block: int = BLOCK
     ) -> Layer:
-        """A layer of 8-bit numbers, `block` channels of which are answered at once, of all inputs or the first ones.
+        """A layer of 8-bit numbers, `block` channels of which are answered at once.
 
-        `unit` and `zero` are what 1 of its input stands for, and which input stands for zero; `answer` and
-        `answer_zero` the same of its output.
+        `unit` and `zero`: what 1 of its input stands for, and which input stands for zero; `answer...`: of its output.
         """
-        kernel, bias = self.weights[f"{name}.weight"][:, :inputs], self.weights[f"{name}.bias"]
+        kernel, bias = self.weights[f"{name}.weight"], self.weights[f"{name}.bias"]
         steps = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), LEAST) / self.largest
         whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int8)
         factors = steps * unit / answer
         offsets = bias / answer - factors * zero * whole.sum(axis=(1, 2, 3), dtype=np.int64) + answer_zero + ROUNDING
         return Layer(_arranged(whole, block, 4), _filled(factors, block), _filled(offsets, block))
 
-    def of_words(self, name: str, first: int, answer: float) -> Layer:
-        """A layer of 16-bit numbers, without its bias, of channels from `first` on: half of what the network takes."""
-        kernel = 2 * self.weights[f"{name}.weight"][:, first:].astype(np.float64)
-        sizes = np.abs(kernel).reshape(len(kernel), -1)
-        most = sizes.max(axis=1, initial=0)
-        steps = np.maximum(np.maximum(sizes.sum(axis=1) / WORDS, most / LARGEST), LEAST)
-        whole = np.rint(kernel / steps[:, None, None, None]).astype(np.int16)
-        return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(0 * steps, BLOCK))
+
+def _of_words(kernel: NDArray[np.float32], answer: float) -> Layer:
+    """A layer of 16-bit numbers, without a bias, of copies that are half of what the network takes."""
+    doubled = 2 * kernel.astype(np.float64)
+    sizes = np.abs(doubled).reshape(len(doubled), -1)
+    most = sizes.max(axis=1, initial=0)
+    steps = np.maximum(np.maximum(sizes.sum(axis=1) / WORDS, most / LARGEST), LEAST)
+    whole = np.rint(doubled / steps[:, None, None, None]).astype(np.int16)
+    return Layer(_arranged(whole, BLOCK, 2), _filled(steps / answer, BLOCK), _filled(0 * steps, BLOCK))
 
 
 def _arranged(kernel: NDArray[np.int8 | np.int16], block: int, group: int) -> NDArray[np.int8 | np.int16]:

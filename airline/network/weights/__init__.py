@@ -34,27 +34,17 @@ BUNDLED = {
 
 
 def bundled_path(name: str) -> Path:
-    """Path of bundled weights.
-
-    Raises:
-        WeightsError: there are none of this name.
-    """
+    """Path of bundled weights; WeightsError where there are none of this name."""
     if name not in BUNDLED:
         raise WeightsError(f"no bundled weights named '{name}': there are {', '.join(sorted(BUNDLED))}")
     return Path(__file__).with_name(f"{name}.safetensors")
 
 
 def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.float32]]]:
-    """The edge network's shape and tensors, without torch.
+    """The edge network's shape, and its float32 tensors by the names of `UNetSpec.shapes`, without torch.
 
-    Args:
-        weights: name of bundled weights, or path of a safetensors file.
-
-    Returns:
-        The shape, and float32 arrays by the names of `UNetSpec.shapes`.
-
-    Raises:
-        WeightsError: missing, damaged, or not made for this network.
+    Raises WeightsError where `weights`, a name of bundled ones or the path of a safetensors file, is missing, damaged,
+    or not made for this network.
     """
     path, metadata, tensors = _read(weights)
     with _fitting(path):
@@ -71,10 +61,7 @@ def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.fl
 
 
 def load_ranges(weights: str | Path) -> Ranges:
-    """Least and largest input of each convolution but the first, by its name; arguments and errors of `load_weights`.
-
-    Empty for a file that was written without them, or by an earlier version.
-    """
+    """Least and largest input of each convolution but the first, by its name; empty for a file without them."""
     path, metadata, tensors = _read(weights)
     convs = {name.removesuffix(".weight") for name in tensors if name.endswith(".weight")} - {"down.0.0"}
     with _fitting(path):
@@ -131,7 +118,7 @@ def load_unet(weights: str | Path) -> UNet:
 def save_unet(net: UNet, path: Path, ranges: Ranges | None = None, **notes: str) -> str:
     """Write a network (batch normalisation folded) and notes about its training; returns the file's SHA-256.
 
-    With `ranges` (see `airline.training.ranges`) it can run in 8-bit numbers.
+    With `ranges` (see `airline.network.unet.measure_ranges`) it can run in 8-bit numbers.
     """
     from safetensors.torch import save
 

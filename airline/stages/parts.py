@@ -1,4 +1,4 @@
-"""Total least squares on accumulated moments: fit regions, cut the bent ones.
+"""Parts of regions: fitted by total least squares on accumulated moments, cut where they bend, joined where collinear.
 
 A part is a row of ten numbers: the weighted moments (sw, sx, sy, sxx, sxy, syy) of its pixels, which add up when parts
 are joined, and its end points (x0, y0, x1, y1).
@@ -6,13 +6,19 @@ are joined, and its end points (x0, y0, x1, y1).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.config import FitConfig
 from airline.kernels.compiled import njit
 from airline.kernels.threads import ALONE, ThreadTeam
 
+CELL = 32.0  # px, side of the cells in which end points are looked up
 MARGIN = 4  # pixels at each end of a region at which it is not cut
+# (K,) rows of pixels, those of a part together; (P, 2) where each part begins and ends among them; (P, 10) the parts
+Parts = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 WAITING = 63  # parts of a region that are not fitted yet, at most; see `split_regions`
 
 
@@ -49,31 +55,22 @@ def split_regions(
     offsets: NDArray[np.int64],
     max_deviation: float,
     team: ThreadTeam = ALONE,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+) -> Parts:
     """Fit every region, cutting the bent ones.
 
     Of two parts the later one along the line is cut and fitted first, while the other waits. Where as many wait as may,
-    the region is a patch of texture that crumbles from one end: cut on, it would give a swarm of short straight lines
-    that are none. So no more cuts are made there, and what is uncut goes by its score.
+    the region is texture that would crumble into a swarm of short straight lines: no more cuts are made there.
 
     Args:
-        positions: (M, 2) of all pixels, px.
-        weights: (M,) of all pixels.
+        positions, weights: (M, 2), px, and (M,) of all pixels.
         order, offsets: the pixels of each region, see `airline.stages.fit.group`.
         max_deviation: px, see `FitConfig`.
         team: threads that share the work.
-
-    Returns:
-        (K,) int64 rows of the pixels, those of a part together, (P, 2) int64 where each part begins and ends among
-        them, and (P, 10) float64 the parts.
     """
     rows, begins = order[offsets[0] :].copy(), offsets - offsets[0]
 
-    def split(start: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        parts: tuple[NDArray[np.int64], NDArray[np.float64]] = _split_regions(
-            positions, weights, rows, begins[start : end + 1], max_deviation
-        )
-        return parts
+    def split(start: int, end: int) -> Any:
+        return _split_regions(positions, weights, rows, begins[start : end + 1], max_deviation)
 
     bounds, moments = zip(*team.map_range(len(begins) - 1, 64, split), strict=True)
     return rows, np.concatenate(bounds), np.concatenate(moments)
@@ -152,9 +149,7 @@ def _project(points, size, mx, my, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _bend(points, size, t0, t1, max_deviation):  # type: ignore[no-untyped-def]
-    """The pixel farthest from the chord of the outermost two, if beyond `max_deviation`, else -1; `MARGIN` at each end
-    are left out.
-    """
+    """The pixel farthest from the chord of the outermost two, `MARGIN` at each end left out; -1 where it bends less."""
     x, y, along = points[0], points[1], points[3]
     first, last = 0, 0
     for k in range(size - 1, -1, -1):
@@ -206,3 +201,100 @@ def _divide(rows, start, along, size, place):  # type: ignore[no-untyped-def]
             along[k], along[kept] = along[kept], along[k]
             kept += 1
     return kept
+
+
+def join_collinear(moments: NDArray[np.float64], config: FitConfig) -> NDArray[np.int64]:
+    """Join collinear neighbours of (P, 10) float64 parts, longest first; parts that others became one with are changed.
+
+    Returns (P,) int64 the part that each part became one with, itself for most.
+    """
+    owner = np.arange(len(moments))
+    if config.max_gap > 0 and len(moments):
+        lengths = np.hypot(moments[:, 8] - moments[:, 6], moments[:, 9] - moments[:, 7])
+        min_cos = np.cos(np.deg2rad(config.max_angle))
+        _join(moments, np.argsort(-lengths, kind="stable"), owner, config.max_gap, config.max_offset, min_cos)
+    return owner
+
+
+@njit()
+def _join(moments, longest_first, owner, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+    ends = moments[:, 6:].copy().reshape(2 * len(moments), 2)
+    first, following = _look_up(ends)
+    axes = np.empty((len(moments), 4))  # centre and direction of each part
+    for i in range(len(moments)):
+        axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3] = principal(moments[i])
+    for i in longest_first:
+        grown = owner[i] == i
+        while grown:
+            grown = False
+            for side in range(2):
+                partner = _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos)
+                if partner >= 0:
+                    owner[partner] = i
+                    for k in range(6):
+                        moments[i, k] += moments[partner, k]
+                    axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3] = principal(moments[i])
+                    _extend(moments, axes, i, partner)
+                    grown = True
+                    break
+
+
+@njit(inline="always")
+def _look_up(ends):  # type: ignore[no-untyped-def]
+    """The ends in each cell as linked lists: each cell's first one, and the one that follows each, -1 for none."""
+    rows, columns = 1, 1
+    for end in range(len(ends)):
+        rows, columns = max(rows, _cell(ends[end, 1]) + 1), max(columns, _cell(ends[end, 0]) + 1)
+    first = np.full((rows, columns), -1, np.int64)
+    following = np.empty(len(ends), np.int64)
+    for end in range(len(ends)):
+        row, column = _cell(ends[end, 1]), _cell(ends[end, 0])
+        following[end] = first[row, column]
+        first[row, column] = end
+    return first, following
+
+
+@njit()
+def _cell(place):  # type: ignore[no-untyped-def]
+    return int(max(place, 0.0) / CELL)
+
+
+@njit(inline="always")
+def _partner(moments, axes, owner, ends, first, following, i, side, max_gap, max_offset, min_cos):  # type: ignore[no-untyped-def]
+    """The nearest collinear part beyond one end of part i, or -1."""
+    mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
+    ex, ey = moments[i, 6 + 2 * side], moments[i, 7 + 2 * side]
+    if (ex - mx) * ux + (ey - my) * uy < 0:  # let (ux, uy) point outwards
+        ux, uy = -ux, -uy
+    rows, columns = first.shape
+    best, best_squared = -1, max_gap * max_gap
+    for cy in range(_cell(ey - max_gap), min(rows - 1, _cell(ey + max_gap)) + 1):
+        for cx in range(_cell(ex - max_gap), min(columns - 1, _cell(ex + max_gap)) + 1):
+            end = first[cy, cx]
+            while end >= 0:
+                j, x, y = end // 2, ends[end, 0], ends[end, 1]
+                end = following[end]
+                squared = (x - ex) * (x - ex) + (y - ey) * (y - ey)
+                if squared >= best_squared or j == i or owner[j] != j or (x - ex) * ux + (y - ey) * uy < -1:
+                    continue
+                nx, ny, vx, vy = axes[j, 0], axes[j, 1], axes[j, 2], axes[j, 3]
+                if abs(ux * vx + uy * vy) < min_cos or (nx - ex) * ux + (ny - ey) * uy < 0:
+                    continue
+                # its end must lie on our axis, and our end on its axis
+                ours, theirs = abs((x - mx) * uy - (y - my) * ux), abs((ex - nx) * vy - (ey - ny) * vx)
+                if ours <= max_offset and theirs <= max_offset:
+                    best, best_squared = j, squared
+    return best
+
+
+@njit(inline="always")
+def _extend(moments, axes, i, j):  # type: ignore[no-untyped-def]
+    """Set the end points of part i to the outermost projections of both parts' end points on the joint line."""
+    mx, my, ux, uy = axes[i, 0], axes[i, 1], axes[i, 2], axes[i, 3]
+    low, high = 1e30, -1e30
+    for part in (i, j):
+        for end in range(2):
+            t = (moments[part, 6 + 2 * end] - mx) * ux + (moments[part, 7 + 2 * end] - my) * uy
+            low, high = min(low, t), max(high, t)
+    moments[i, 6], moments[i, 7] = mx + low * ux, my + low * uy
+    moments[i, 8], moments[i, 9] = mx + high * ux, my + high * uy
