@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
-from frontend.sources.opencv import Image
+from frontend.sources.reading import Image
 
 Array = NDArray[np.float64]
 

@@ -68,7 +68,9 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     )
     if chosen.realtime and not source.live:
         source = RealtimeSource(source, ahead=spec is None)  # the built-in clip takes longer to render than to play
-    return FreshFrames(source, chosen.max_latency) if source.live and not config.serial else source
+    if not source.live or config.serial:
+        return source
+    return FreshFrames(source, chosen.max_latency, prepares=True)
 
 
 def list_topics(spec: str | None) -> str:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.sources.opencv import Image
+from frontend.sources.reading import Image
 from logs.messages.types import RawImage, UndecodableError
 
 
