@@ -46,7 +46,7 @@ def compile_ahead() -> None:
 
 
 def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    """A throw-away pass of an image like those to come through the detector, which keeps what it loads, and a tracker."""
+    """A throw-away pass of such an image through a detector, which keeps what it loads, and a tracker."""
     global _helper
     compile_ahead()
     with _few_collections():
