@@ -15,7 +15,7 @@ if len(sys.argv) > 1:
     camera = open_source(sys.argv[1])
 else:
     camera = RealtimeSource(SceneSource(RenderedClip(seed=12, frames=40)), ahead=True)
-fresh = FreshFrames(camera)  # drops the oldest frames when the camera is faster than we are
+fresh = FreshFrames(camera, prepares=True)  # drops the oldest frames when the camera is faster than we are
 frontend = LineFrontend()
 try:
     frames = Peeked(fresh)

@@ -78,7 +78,7 @@ class ClipSource(Source):
     name: str = "bench"
 
     def __iter__(self) -> Iterator[Frame]:
-        from frontend.sources.opencv import decode_image
+        from frontend.sources.reading import decode_image
 
         period = max(2 * len(self.files) - 2, 1)
         for index in range(self.frame_count):

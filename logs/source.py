@@ -15,8 +15,7 @@ from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.opencv import Image
-from frontend.sources.skips import Skips
+from frontend.sources.reading import Image, Skips
 from logs.calibration import camera_from_log
 from logs.files import LogFile, LogMessage
 from logs.files.mcap_file import McapFile

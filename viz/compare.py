@@ -39,8 +39,7 @@ Ids = NDArray[np.int64]
 def match_lines(first: Segments, second: Segments) -> tuple[Ids, Ids, NDArray[np.float64]]:
     """One-to-one pairs of lines (N, 2, 2) and (M, 2, 2), px, that lie over each other.
 
-    The measures and their bounds are those of the repeatability, see `measure_pairs`; of all ways to pair the lines,
-    that with the most overlap in total is taken, nearer pairs counting more.
+    Bounds are those of `measure_pairs`; the pairing has the most overlap in total, nearer pairs counting more.
 
     Returns:
         (K,) rows of the first, ascending, (K,) rows of the second, and (K,) distances, px.
@@ -118,28 +117,26 @@ class Comparison:
 
 
 def common_frames(a: Path, b: Path) -> Iterator[tuple[LineTracks, LineTracks]]:
-    """The tracks of both files with the same stamps; InputError where there are none."""
+    """The tracks of both files with the same stamps."""
     from logs import read_tracks
 
     others = ByStamp(read_tracks(b))
-    found = False
     for first in read_tracks(a):
         second = others.at(first.stamp_ns)
         if second is not None:
-            found = True
             yield first, second
-    if not found:
-        raise InputError(f"{a} and {b} have no frame in common: give two runs on the same input")
 
 
 def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
     """Record two runs; returns their figures. Raises AirLineError where a file cannot be read or written."""
     frames = common_frames(a, b)
-    first = next(frames)
+    first = next(frames, None)
+    if first is None:
+        raise InputError(f"{a} and {b} have no frame in common: give two runs on the same input")
     names = f"A: {a.name}", f"B: {b.name}"
-    images = images_of(a)
+    images = ByStamp(images_of(a))
     if images.empty:
-        images = images_of(b)
+        images = ByStamp(images_of(b))
     layout = side_by_side(names, image=not images.empty)
     with recording("airline-compare", f"{a.name} and {b.name}", layout, save, connect) as stream:
         comparison = Comparison(stream, names)
@@ -150,7 +147,7 @@ def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Compare, record and print the figures."""
+    """Do what the flags ask for."""
     print(compare(options.a, options.b, options.save, options.connect))
 
 

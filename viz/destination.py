@@ -40,10 +40,9 @@ def open_stream(application_id: str, *, live: bool) -> rr.RecordingStream:
 
 
 class Destination:
-    """Carries a stream into a file and to a viewer, in the background.
+    """Carries a stream into a file and to a viewer, every second, in the background.
 
-    Every second all that was logged is pushed out. A viewer that is absent, dies, or has not taken it within
-    `PATIENCE_S` is given up with one warning.
+    A viewer that is absent, dies, or takes longer than `PATIENCE_S` is given up with one warning.
 
     Args:
         stream: the recording, of `open_stream`.
@@ -152,8 +151,8 @@ class Destination:
 class Relay:
     """Passes bytes between Rerun's sender in this process and a viewer, until it is cut.
 
-    The sender keeps all data for a viewer that takes none, and waits for it without end: Rerun has no setting for that
-    (0.41). Behind a relay it sees its connection break, and lets go.
+    For a viewer that takes nothing the sender keeps all data and waits without end (Rerun 0.41); behind a relay it sees
+    its connection break, and lets go.
 
     Raises:
         OSError: nobody listens at the viewer's address.

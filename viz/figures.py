@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from frontend.tracks import LineTracks
-from viz.pictures import QUIET
+from viz.lines import QUIET
 
 YEAR_2000_NS = 946_684_800_000_000_000  # stamps from then on are dates
 COUNTS = {"lines": QUIET, "tracks": (150, 150, 255), "confirmed": (80, 220, 100), "lost": (150, 150, 150)}
@@ -36,11 +36,8 @@ class Clock:
     def columns(self, frames: Sequence[int], stamps_ns: Sequence[int]) -> list[rr.TimeColumn]:
         """Both timelines for rows that are logged at once."""
         stamps = np.array(stamps_ns, np.int64)
-        if self._dated:
-            sensor_time = rr.TimeColumn("sensor_time", timestamp=stamps.view("datetime64[ns]"))
-        else:
-            sensor_time = rr.TimeColumn("sensor_time", duration=stamps.view("timedelta64[ns]"))
-        return [rr.TimeColumn("frame", sequence=frames), sensor_time]
+        kind, unit = ("timestamp", "datetime64[ns]") if self._dated else ("duration", "timedelta64[ns]")
+        return [rr.TimeColumn("frame", sequence=frames), rr.TimeColumn("sensor_time", **{kind: stamps.view(unit)})]
 
 
 class FigureLog:

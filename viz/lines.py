@@ -17,14 +17,14 @@ FRAGMENT_TONE = 0.55  # how dark a piece of a broken line is beside whole ones
 LOST_TONE, LOST_GREY = 0.2, 120  # how much of its hue a lost line keeps, on which grey
 CONFIRMED_RADIUS, TENTATIVE_RADIUS, LOST_RADIUS, TAIL_RADIUS = 1.5, 0.75, 0.4, 0.6  # points of the screen
 TAIL_FRAMES, TAIL_STEP = 12, 3
+QUIET = (255, 196, 64)  # segments, which are not yet part of any track, RGB
 TAIL_TONE = 0.75  # how dark a tail is beside its line
 
 
 class Tails:
     """Where the lines' middles were in the last frames. One per stream of frames, fed in time order.
 
-    A tail bends only at every `TAIL_STEP`-th frame: that hides tremble, and places that stay the same for several
-    frames compress well.
+    A tail bends only at every `TAIL_STEP`-th frame, which hides tremble and compresses well.
     """
 
     def __init__(self) -> None:
@@ -58,9 +58,9 @@ class Tails:
 def log_tracks(stream: rr.RecordingStream, tracks: LineTracks, tails: Tails | None = None) -> None:
     """Log one frame's tracks at the stream's present time.
 
-    `/camera/tracks`: confirmed lines bright and thick, tentative ones pale and thin, pieces of broken lines darker,
-    each with its id as the component `track_id`. `/camera/tracks/lost`: where lines that are looked for should be, thin
-    and grey. `/camera/tails`: where the middles of confirmed lines were; only with `tails`, those of this stream.
+    `/camera/tracks`: confirmed lines thick, tentative ones pale and thin, pieces of broken lines darker, each with its
+    `track_id`. `/camera/tracks/lost`: where lines that are looked for should be, grey. `/camera/tails`: where confirmed
+    lines were; only with `tails`, those of this stream.
     """
     colours = track_colours(tracks.ids, tracks.confirmed)
     fragments = tracks.fragment_of >= 0

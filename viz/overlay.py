@@ -59,15 +59,12 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> int:
-    """Write a film: H.264, or MPEG-4 where FFmpeg came without x264.
+    """Write a film, H.264 or MPEG-4 where FFmpeg came without x264, over what is there; returns how many frames it has.
 
     Args:
-        path: the file, which is replaced.
+        path: the file.
         pictures: (H, W, 3) uint8 BGR, all of one size; an odd last row or column is doubled, as video needs even sizes.
         fps: frames per second.
-
-    Returns:
-        How many frames it has.
 
     Raises:
         InputError: the file cannot be written.

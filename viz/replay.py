@@ -48,12 +48,8 @@ class ByStamp(Generic[T]):
         return self._next if self._next is not None and self._next.stamp_ns == stamp_ns else None
 
 
-def images_of(path: Path) -> ByStamp[Frame]:
+def images_of(path: Path) -> Iterator[Frame]:
     """The images that `--with-images` put into a log of tracks, if it did."""
-    return ByStamp(_images_of(path))
-
-
-def _images_of(path: Path) -> Iterator[Frame]:
     from logs import open_images
     from logs.sinks.foxglove import IMAGE_TOPIC
 
@@ -101,11 +97,11 @@ def replay(path: Path, save: Path | None, connect: str | None) -> int:
     """Record a file with tracks, as far as it can be read; returns how many frames it has.
 
     Raises:
-        InputError: the file cannot be read or is damaged, the recording cannot be written, or no window can open.
+        InputError: the file cannot be read, the recording cannot be written, or no window can open.
     """
     from logs import read_tracks
 
-    frames, images = read_tracks(path), images_of(path)
+    frames, images = read_tracks(path), ByStamp(images_of(path))
     count = 0
     with recording("airline-frontend", path.stem, layout("minimal", image=not images.empty), save, connect) as stream:
         clock, tails = Clock(stream), Tails()
@@ -125,7 +121,7 @@ def replay(path: Path, save: Path | None, connect: str | None) -> int:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Replay and say so."""
+    """Do what the flags ask for."""
     count = replay(options.file, options.save, options.connect)
     if options.save is not None:
         print(f"saved {options.save} with {count} frames; look at it with: rerun {options.save}")

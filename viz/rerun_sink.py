@@ -36,21 +36,19 @@ ImageMode = Literal["jpeg", "raw", "video", "none"]
 class RerunSink:
     """Logs each frame's image, detector stages, tracks and figures; a `Sink`.
 
-    Timelines are `frame` and `sensor_time`. Pictures are made and encoded in a thread, beside the next frame; what goes
-    wrong there is raised by a later `write`, or by `close`. A viewer that is absent, slow or dies costs one warning,
-    never the run.
+    Timelines are `frame` and `sensor_time`. Pictures are made in a thread, beside the next frame; what goes wrong there
+    is raised by a later `write` or by `close`. A viewer that is absent, slow or dies costs one warning, never the run.
 
     Args:
         application_id: the viewer keeps its layout per application.
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
-        image: how the camera's image is logged; "video" logs the input file once and refers to it, and leaves out the
-            detector's stages and the tails, which would be most of what remains.
+        image: how the camera's image is logged; "video" logs the input file once, without stages and tails.
         video: that file.
         blueprint: how the viewer lays it out.
         every: log every so many frames; resets and warnings are always logged.
-        descriptor_every: log the float descriptors, at a quarter of the resolution, every so many frames; 0 is never.
+        descriptor_every: log the float descriptors every so many frames; 0 is never.
         jpeg_quality: of all pictures, 1 to 100.
 
     Raises:
@@ -139,11 +137,11 @@ class RerunSink:
             self._stream.log("/log", rr.TextLog(text, level=level))
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
-        """Log where the camera is, at the time of the latest frame: ground truth, or a backend's estimate.
+        """Log where the camera is, at the time of the latest frame.
 
         Args:
-            world_T_camera: (4, 4) rigid motion that takes points from the camera's frame (x right, y down, z forward)
-                to the world's, which is shown with y down, in metres or whatever unit the lines in space have.
+            world_T_camera: (4, 4) rigid motion from the camera's frame (x right, y down, z forward) to the world's,
+                which is shown with y down, in the unit of the lines in space.
 
         Raises:
             InputError: it is no rigid motion.
@@ -152,11 +150,7 @@ class RerunSink:
             self._in_space().log_pose(world_T_camera)
 
     def log_lines_3d(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
-        """Log lines in space, at the time of the latest frame, in the colours of their tracks.
-
-        Args:
-            segments: (N, 2, 3) end points in the world's frame, in the poses' unit.
-            ids: (N,) int64 track ids.
+        """Log (N, 2, 3) end points in the world's frame, in the colours of the (N,) int64 ids of their tracks.
 
         Raises:
             InputError: the two do not fit together.
@@ -211,10 +205,9 @@ class RerunSink:
         self._figures.add(frame.index, frame.stamp_ns, figures)
 
     def _in_space(self) -> Space:
-        """Lays the recording out anew when it turns out to have something in space."""
         if self._space is None:
             self._space = Space(self._stream)
-            self._send_layout()
+            self._send_layout()  # anew, with a view of the space
         self._set_time()
         return self._space
 

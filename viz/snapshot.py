@@ -70,7 +70,16 @@ def headless_viewer(recording: Path, size: tuple[int, int], timeout_s: float) ->
         except ConnectionError as reason:
             time.sleep(POLL_S)
             output.seek(0)
-            raise InputError(_why_it_ended(output.read().decode(errors="replace"), timeout_s)) from reason
+            said = output.read().decode(errors="replace").split("\n")
+            if any("graphics adapter" in line or "render context" in line for line in said):
+                raise InputError(
+                    "the viewer found no graphics driver: install a Vulkan driver, such as Debian's "
+                    "mesa-vulkan-drivers, or take a plain picture with --plain"
+                ) from reason
+            last = next((line.strip() for line in reversed(said) if line.strip()), "")
+            raise InputError(
+                f"the viewer ended or gave no picture within {timeout_s:g} s: try a longer timeout ({last})"
+            ) from reason
         finally:
             watchdog.cancel()
             stop(viewer)
@@ -87,16 +96,6 @@ def _connect(viewer: Viewer, port: int) -> ViewerClient:
             time.sleep(POLL_S)
         else:
             return client
-
-
-def _why_it_ended(output: str, timeout_s: float) -> str:
-    if "graphics adapter" in output or "render context" in output:
-        return (
-            "the viewer found no graphics driver: install a Vulkan driver, such as Debian's mesa-vulkan-drivers, "
-            "or take a plain picture with --plain"
-        )
-    last = next((line for line in reversed(output.splitlines()) if line.strip()), "")
-    return f"the viewer ended or gave no picture within {timeout_s:g} s: try a longer timeout ({last.strip()})"
 
 
 def wait_until_loaded(client: ViewerClient, recording: Path) -> ViewerState:
@@ -120,13 +119,10 @@ def show_frame(client: ViewerClient, state: ViewerState, frame: int | None, pict
     if not timeline.start <= frame <= timeline.end:
         raise InputError(f"there is no frame {frame}: choose one from {timeline.start} to {timeline.end}")
     client.set_time("frame", sequence=frame, play_state="paused")
-    before = None
-    while True:  # images are decoded and views fade in after the first paint, so until two pictures are the same
+    before, now = b"none yet", b""
+    while now != before:  # images are decoded and views fade in after the first paint
         client.save_screenshot(str(picture.absolute()))
-        now = picture.read_bytes()
-        if now == before:
-            return
-        before = now
+        before, now = now, picture.read_bytes()
 
 
 def save_overlay(recording: Path, picture: Path, *, frame: int | None = None) -> None:
@@ -162,9 +158,8 @@ def run(options: argparse.Namespace) -> None:
     if options.picture is not None and options.plain:
         save_overlay(options.recording, options.picture, frame=options.frame)
     elif options.picture is not None:
-        size = (options.size[0], options.size[1])
-        picture = {"frame": options.frame, "size": size, "timeout_s": options.timeout}
-        for complaint in save_picture(options.recording, options.picture, **picture):
+        how = {"frame": options.frame, "size": tuple(options.size), "timeout_s": options.timeout}
+        for complaint in save_picture(options.recording, options.picture, **how):
             print(f"the viewer reports: {complaint}", file=sys.stderr)
 
 

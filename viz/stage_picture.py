@@ -17,7 +17,7 @@ from airline.image import to_gray, to_uint8
 from airline.trace import Trace
 from frontend.colours import track_colours
 from viz.overlay import Picture, draw_lines, write_picture
-from viz.pictures import edge_image, orientation_image, region_image
+from viz.stages import edge_image, orientation_image, region_image
 
 WIDTH = 480  # px of each panel
 STRIP = 22  # px of its title

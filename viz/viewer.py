@@ -36,7 +36,7 @@ def start(port: int, *arguments: str, output: int | IO[bytes] = subprocess.DEVNU
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=subprocess.STDOUT,
-        env={**environment(), **variables},
+        env={**os.environ, "CI": "1", **variables},  # it reports its use to its makers unless it believes to be in CI
         start_new_session=True,
     )
 
@@ -48,30 +48,19 @@ def stop(viewer: Viewer) -> None:
     viewer.wait()
 
 
-def environment() -> dict[str, str]:
-    """The environment to start the viewer in: it reports its use to its makers unless it believes to be in CI."""
-    return {**os.environ, "CI": "1"}
-
-
 def open_viewer(port: int = PORT) -> str | None:
-    """The address of a viewer on this machine: the one that listens already, or else a new window.
-
-    Returns:
-        `127.0.0.1:PORT`, or None where no window can open.
-    """
+    """`127.0.0.1:PORT` of the viewer that listens there already, or else of a new window; None where none can open."""
     address = f"127.0.0.1:{port}"
     if _answers(port):
         return address
     viewer = start(port, "--expect-data-soon")
-    if viewer is None:
+    if viewer is None or not _comes_up(viewer, port):
         return None
-    if _comes_up(viewer, port):
-        time.sleep(SETTLE_S)
-        if viewer.poll() is None:
-            _windows.append(viewer)
-            return address
-    stop(viewer)
-    return None
+    time.sleep(SETTLE_S)
+    if viewer.poll() is not None:
+        return None
+    _windows.append(viewer)
+    return address
 
 
 @dataclass(frozen=True)
@@ -98,10 +87,7 @@ def serve() -> WebViewer | None:
     port, web_port = free_port(PORT), free_port(WEB_PORT)
     # Rerun's own `RecordingStream.serve_grpc` would listen to the whole network
     server = start(port, "--serve-web", "--web-viewer-port", str(web_port))
-    if server is None:
-        return None
-    if not _comes_up(server, port, web_port):
-        stop(server)
+    if server is None or not _comes_up(server, port, web_port):
         return None
     stream = f"rerun+http://127.0.0.1:{port}/proxy"
     return WebViewer(server, f"http://127.0.0.1:{web_port}/?url={quote(stream, safe='')}", stream)
@@ -121,12 +107,13 @@ def free_port(wanted: int = 0) -> int:
 
 
 def _comes_up(viewer: Viewer, *ports: int) -> bool:
-    """Whether a viewer answers at all these ports before it ends or takes too long."""
+    """Whether a viewer answers at all these ports before it ends or takes too long; if not, it is stopped."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline and viewer.poll() is None:
         if all(_answers(port) for port in ports):
             return True
         time.sleep(0.05)
+    stop(viewer)
     return False
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from airline import __version__
 from airline.command import Parser
-from airline.config import PRESETS, RUNTIMES
+from frontend.cli.settings import RunConfig
 
 INPUT = "video file, image folder or glob, camera index, stream URL or log (default: the built-in clip)"
 OUT = "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/ or plvins.mcap; may be given several times"
@@ -16,9 +16,35 @@ PUBLISH = (
     "send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "
     "ws://127.0.0.1:8765 (Foxglove); may be given several times"
 )
-LOG_IMAGE = "how images are recorded; video: the input file once, and no stages of the detector"
-ON: Any = {"action": "store_const", "const": True}  # and None where it is not given
-CALIB = "calibration: EuRoC, Kalibr or ROS YAML, or JSON (default: the log's)"
+WEIGHTS = "weights of the edge network (.safetensors)"
+
+FLAGS = {
+    "live sources": {
+        "--realtime": "input.realtime",
+        "--max-latency S": "input.max_latency",
+        "--reconnect S": "input.reconnect",
+    },
+    "recording": {
+        "--blueprint": "recording.blueprint",
+        "--log-image": "recording.image",
+        "--jpeg-quality Q": "recording.jpeg_quality",
+        "--log-every N": "recording.every",
+        "--log-descriptor-every K": "recording.descriptor_every",
+    },
+    "frames": {
+        "--start S": "input.start",
+        "--end S": "input.end",
+        "--stride N": "input.stride",
+        "--max-frames N": "input.max_frames",
+        "--resize WxH": "input.resize",
+        "--fps FPS": "input.fps",
+    },
+    "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
+    "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
+    "detector": {"--preset": "preset", "--runtime": "runtime"},
+    "settings": {"--serial": "serial"},
+}
+"""Flags by group: the setting that each stands for, whose field in `settings` says its type and its help."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -47,13 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--with-images", action="store_true", help="put the images into --out FILE.mcap")
     add("--labels", action="store_true", help="write the ids beside the lines, in Foxglove")
 
-    add = parser.add_argument_group("live sources").add_argument
-    add("--realtime", dest="input.realtime", **ON, help="play a recording at its own pace, as a camera would")
-    late = "drop a live source's frames that have waited longer (0.2)"
-    add("--max-latency", dest="input.max_latency", type=float, metavar="S", help=late)
-    again = "try a stream that drops again for S seconds (60)"
-    add("--reconnect", dest="input.reconnect", type=float, metavar="S", help=again)
-
+    _add_flags(parser, "live sources")
     add_settings(parser)
     add = parser.add_argument_group("instead of a run").add_argument
     add("--list-topics", action="store_true", help="print image and calibration topics and exit")
@@ -63,38 +83,31 @@ def build_parser() -> argparse.ArgumentParser:
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """The flags that `settings_of` reads, for every command that runs the frontend."""
-    add = parser.add_argument_group("recording").add_argument
-    add("--blueprint", dest="recording.blueprint", choices=["minimal", "full"], help="how much the viewer shows")
-    add("--log-image", dest="recording.image", choices=["jpeg", "raw", "video", "none"], help=LOG_IMAGE)
-    add("--jpeg-quality", dest="recording.jpeg_quality", type=int, metavar="Q", help="of all pictures, 1 to 100")
-    add("--log-every", dest="recording.every", type=int, metavar="N", help="record every N-th frame")
-    seldom = "record the descriptors every K frames, 0 never"
-    add("--log-descriptor-every", dest="recording.descriptor_every", type=int, metavar="K", help=seldom)
+    for title in ("recording", "frames", "logs", "camera", "detector", "settings"):
+        _add_flags(parser, title)
 
-    add = parser.add_argument_group("frames").add_argument
-    add("--start", dest="input.start", type=float, metavar="S", help="skip the first S seconds")
-    add("--end", dest="input.end", type=float, metavar="S", help="stop S seconds after the first frame")
-    add("--stride", dest="input.stride", type=int, metavar="N", help="use every N-th frame")
-    add("--max-frames", dest="input.max_frames", type=int, metavar="N", help="stop after N frames")
-    add("--resize", dest="input.resize", metavar="WxH", help="resize frames, e.g. 640x480, or 640 to keep the aspect")
-    add("--fps", dest="input.fps", type=float, metavar="FPS", help="frame rate of image folders without timestamps")
 
-    add = parser.add_argument_group("logs").add_argument
-    add("--topic", dest="input.topic", metavar="TOPIC", help="image topic")
-    add("--time-source", dest="input.time_source", choices=["header", "publish", "log"], help="where times come from")
-
-    add = parser.add_argument_group("camera").add_argument
-    add("--calib", dest="input.calib", metavar="FILE", help=CALIB)
-    add("--undistort", dest="input.undistort", **ON, help="remove lens distortion before detection")
-
-    add = parser.add_argument_group("detector").add_argument
-    add("--preset", choices=PRESETS, help="settings to start from")
-    add("--weights", dest="detector.edges.weights", metavar="FILE", help="weights of the edge network (.safetensors)")
-    add("--runtime", choices=RUNTIMES, help="what the edge network runs in")
-
-    add = parser.add_argument_group("settings").add_argument
-    add("--config", type=Path, metavar="FILE.toml", help="settings; flags override them")
-    add("--serial", **ON, help="do one thing after the other in one thread, for debugging")
+def _add_flags(parser: argparse.ArgumentParser, title: str) -> None:
+    add = parser.add_argument_group(title).add_argument
+    if title == "detector":
+        add("--weights", dest="detector.edges.weights", metavar="FILE", help=WEIGHTS)
+    elif title == "settings":
+        add("--config", type=Path, metavar="FILE.toml", help="settings; flags override them")
+    for flag, place in FLAGS[title].items():
+        name, _, metavar = flag.partition(" ")
+        owner: Any = RunConfig()
+        *tables, field = place.split(".")
+        for table in tables:
+            owner = getattr(owner, table)
+        default, hint = getattr(owner, field), get_type_hints(type(owner), include_extras=True)[field]
+        kind, meta = get_args(hint if get_origin(hint) is Annotated else get_args(hint)[0])  # the latter where optional
+        how: dict[str, Any] = {"choices": get_args(kind)} if get_origin(kind) is Literal else {"type": kind}
+        if kind is bool:
+            how = {"action": "store_const", "const": True}  # and None where it is not given
+        elif metavar:
+            how["metavar"] = metavar
+        shown = f" ({default:g})" if kind in (int, float) and default is not None else ""
+        add(name, dest=place, help=meta.description + shown, **how)
 
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""All settings of a run: presets, TOML files, and their checks."""
+"""All settings of a run, their meaning and their checks; presets and TOML files."""
 
 from __future__ import annotations
 
@@ -16,36 +16,21 @@ from frontend.tracking.config import TrackerConfig
 
 
 class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which frames of the input are used.
+    """Which frames of the input are used, and with which camera."""
 
-    Attributes:
-        start, end: seconds since the first frame.
-        stride: every how many frames one is used.
-        max_frames: at most this many frames are used.
-        resize: "WIDTHxHEIGHT", or "WIDTH" to keep the aspect.
-        fps: frame rate of folders without timestamps.
-        realtime: whether a recording is played at the pace of its stamps, like a live source, which it counts as then.
-        max_latency: seconds that a frame of a live source may wait before it is dropped; other sources drop none.
-        reconnect: seconds for which a network stream that drops is tried again; 0 takes its end as the end.
-        topic: image topic of a log.
-        time_source: where a log's times come from: the messages' headers, their publish time or the log's clock.
-        calib: file with the camera's calibration.
-        undistort: whether lens distortion is removed before detection.
-    """
-
-    start: Annotated[float, Meta(ge=0)] | None = None
-    end: Annotated[float, Meta(gt=0)] | None = None
-    stride: Annotated[int, Meta(ge=1)] = 1
-    max_frames: Annotated[int, Meta(ge=1)] | None = None
-    resize: str | None = None
-    fps: Annotated[float, Meta(gt=0)] = 30.0
-    realtime: bool = False
-    max_latency: Annotated[float, Meta(gt=0)] = 0.2
-    reconnect: Annotated[float, Meta(ge=0)] = 60.0
-    topic: str | None = None
-    time_source: Literal["header", "publish", "log"] = "header"
-    calib: str | None = None
-    undistort: bool = False
+    start: Annotated[float, Meta(ge=0, description="skip the first S seconds")] | None = None
+    end: Annotated[float, Meta(gt=0, description="stop S seconds after the first frame")] | None = None
+    stride: Annotated[int, Meta(ge=1, description="use every N-th frame")] = 1
+    max_frames: Annotated[int, Meta(ge=1, description="stop after N frames")] | None = None
+    resize: Annotated[str, Meta(description="resize frames, e.g. 640x480, or 640 to keep the aspect")] | None = None
+    fps: Annotated[float, Meta(gt=0, description="frame rate of image folders without timestamps")] = 30.0
+    realtime: Annotated[bool, Meta(description="play a recording at its own pace, as a camera would")] = False
+    max_latency: Annotated[float, Meta(gt=0, description="drop a live source's frames that have waited longer")] = 0.2
+    reconnect: Annotated[float, Meta(ge=0, description="try a stream that drops again for S seconds")] = 60.0
+    topic: Annotated[str, Meta(description="image topic")] | None = None
+    time_source: Annotated[Literal["header", "publish", "log"], Meta(description="where times come from")] = "header"
+    calib: Annotated[str, Meta(description="EuRoC, Kalibr or ROS YAML, or JSON (default: the log's)")] | None = None
+    undistort: Annotated[bool, Meta(description="remove lens distortion before detection")] = False
 
     def __post_init__(self) -> None:
         start = self.start or 0.0
@@ -55,47 +40,41 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def size(self) -> tuple[int, int | None] | None:
-        """`resize` as (width, height), px; height is None to keep the aspect."""
-        return None if self.resize is None else parse_size(self.resize)
+        """`resize` as (width, height), px; height is None to keep the aspect. Raises ConfigError where it is none."""
+        if self.resize is None:
+            return None
+        width, separator, height = self.resize.lower().partition("x")
+        try:
+            return int(width), int(height) if separator else None
+        except ValueError:
+            raise ConfigError(
+                f"cannot resize to '{self.resize}': give WIDTHxHEIGHT or WIDTH, px, e.g. 640x480"
+            ) from None
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What goes into the Rerun recording.
+    """What goes into the Rerun recording."""
 
-    Attributes:
-        image: how the camera's image is logged; "video" logs the input file once, without the detector's stages.
-        jpeg_quality: of pictures, 1 to 100.
-        every: every so many frames one is logged.
-        descriptor_every: the float descriptor map is logged every so many frames; 0 never.
-        blueprint: how the viewer lays it out.
-    """
-
-    image: Literal["jpeg", "raw", "video", "none"] = "jpeg"
-    jpeg_quality: Annotated[int, Meta(ge=1, le=100)] = 80
-    every: Annotated[int, Meta(ge=1)] = 1
-    descriptor_every: Annotated[int, Meta(ge=0)] = 30
-    blueprint: Literal["minimal", "full"] = "full"
+    image: Annotated[
+        Literal["jpeg", "raw", "video", "none"],
+        Meta(description="how images are recorded; video: the input file once, and no stages of the detector"),
+    ] = "jpeg"
+    jpeg_quality: Annotated[int, Meta(ge=1, le=100, description="of all pictures, 1 to 100")] = 80
+    every: Annotated[int, Meta(ge=1, description="record every N-th frame")] = 1
+    descriptor_every: Annotated[int, Meta(ge=0, description="record the descriptors every K frames, 0 never")] = 30
+    blueprint: Annotated[Literal["minimal", "full"], Meta(description="how much the viewer shows")] = "full"
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that decides the result of a run."""
 
-    preset: Preset = "default"
-    runtime: Runtime = "auto"
-    serial: bool = False  # one thing after the other in one thread; the results are the same
+    preset: Annotated[Preset, Meta(description="settings to start from")] = "default"
+    runtime: Annotated[Runtime, Meta(description="what the edge network runs in")] = "auto"
+    serial: Annotated[bool, Meta(description="do one thing after the other in one thread, for debugging")] = False
     input: InputConfig = InputConfig()
     detector: DetectorConfig = DetectorConfig()
     tracker: TrackerConfig = TrackerConfig()
     recording: RecordingConfig = RecordingConfig()
-
-
-def parse_size(text: str) -> tuple[int, int | None]:
-    """(width, height), px, of "WIDTHxHEIGHT"; the height of "WIDTH" is None. Raises ConfigError for anything else."""
-    width, separator, height = text.lower().partition("x")
-    try:
-        return int(width), int(height) if separator else None
-    except ValueError:
-        raise ConfigError(f"cannot resize to '{text}': give WIDTHxHEIGHT or WIDTH, px, e.g. 640x480") from None
 
 
 def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:

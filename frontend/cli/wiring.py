@@ -26,11 +26,11 @@ log = logging.getLogger(__name__)
 
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
-    """The frames that the input stands for, with their camera, as the settings want them.
+    """The frames that an input stands for, as the settings want them; in series nothing is dropped of a live source.
 
     Args:
         spec: a log, or whatever `frontend.open_source` takes; None for the built-in clip.
-        config: the settings; in series nothing is dropped of a live source.
+        config: the settings.
     """
     from frontend.sources import open_source
     from frontend.sources.pace import FreshFrames, RealtimeSource
@@ -68,7 +68,9 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     )
     if chosen.realtime and not source.live:
         source = RealtimeSource(source, ahead=spec is None)  # the built-in clip takes longer to render than to play
-    return FreshFrames(source, chosen.max_latency) if source.live and not config.serial else source
+    if not source.live or config.serial:
+        return source
+    return FreshFrames(source, chosen.max_latency, prepares=True)
 
 
 def list_topics(spec: str | None) -> str:

@@ -19,7 +19,7 @@ from airline.scenes.visibility import MIN_LENGTH
 from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
-from frontend.sources.opencv import decode_image
+from frontend.sources.reading import decode_image
 
 FRAMES_PER_SECOND = 30
 _VIEW = 0.75  # size of the clip's images over that of the photograph

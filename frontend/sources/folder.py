@@ -1,6 +1,4 @@
-"""Frames of a folder of images.
-
-Layouts that give times, in the order in which they are looked for:
+"""Frames of a folder of images, whose times come from the first of these layouts that fits.
 
 - EuRoC / ASL: `mav0/cam0/data.csv` ("stamp in ns,file name") and `mav0/cam0/data/`; the sequence, `mav0`, `cam0` or
   `data` may be given.
@@ -27,8 +25,7 @@ from natsort import natsorted
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.opencv import Image, decode_image
-from frontend.sources.skips import Skips
+from frontend.sources.reading import Skips, decode_image
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +73,10 @@ class FolderSource(Source):
         try:
             for index in range(len(self._rows) - self.frame_count, len(self._rows)):
                 row = self._rows[index]
-                image = _read(row.path)
+                try:
+                    image = decode_image(row.path.read_bytes()) if row.path.is_file() else None
+                except (OSError, ValueError):  # no permission; a name that no file can have
+                    image = None
                 if image is None:
                     self._skips.add(str(row.path))
                     continue
@@ -86,13 +86,6 @@ class FolderSource(Source):
             self._skips.report(log)
         if self._skips.count and not found:
             raise InputError(f"not one image of '{self.name}' can be read; the first is '{self._skips.first}'")
-
-
-def _read(path: Path) -> Image | None:
-    try:
-        return decode_image(path.read_bytes()) if path.is_file() else None
-    except (OSError, ValueError):  # no permission; a name that no file can have
-        return None
 
 
 class ImageRow(NamedTuple):
@@ -121,7 +114,12 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> list[ImageRow]:
     except (OSError, ValueError) as error:  # no permission; a name that no file can have
         raise InputError(f"cannot read '{root}': {error}") from error
     if not rows:
-        raise InputError(_nothing_there(root))
+        if not root.is_dir():
+            magic = glob.has_magic(str(root))
+            raise InputError(f"no image matches '{root}'" if magic else f"there is no folder or image '{root}'")
+        inside = natsorted(child.name for child in root.iterdir() if child.is_dir() and _images_in(child))
+        hint = f"; its folder '{inside[0]}' has some" if inside else ": give a folder of images or a video file"
+        raise InputError(f"'{root}' holds no image{hint}")
     for before, after in pairwise(rows):
         if after.stamp_ns <= before.stamp_ns:
             raise InputError(
@@ -219,11 +217,3 @@ def _inside(name: str, table: Path) -> PurePosixPath:
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
         raise InputError(f"'{table}' names a file outside its folder: {name[:60]!r}")
     return path
-
-
-def _nothing_there(root: Path) -> str:
-    if not root.is_dir():
-        return f"no image matches '{root}'" if glob.has_magic(str(root)) else f"there is no folder or image '{root}'"
-    inside = natsorted(child.name for child in root.iterdir() if child.is_dir() and _images_in(child))
-    hint = f"; its folder '{inside[0]}' has some" if inside else ": give a folder of images or a video file"
-    return f"'{root}' holds no image{hint}"

@@ -13,7 +13,7 @@ import cv2
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.opencv import Image, as_frame_image, quiet
+from frontend.sources.reading import Image, quiet, read_image
 
 log = logging.getLogger(__name__)
 
@@ -58,10 +58,9 @@ class LiveSource(Source):
         self._stopped = threading.Event()
 
     def __iter__(self) -> Iterator[Frame]:
-        index = 0
-        last_ns = 0
+        index = last_ns = 0
         while not self._stopped.is_set():
-            found = self._read() or (self._read_again() if index else None)
+            found = read_image(self._capture) or (self._read_again() if index else None)
             if found is None:
                 break
             stamp_ns, image = found
@@ -77,18 +76,6 @@ class LiveSource(Source):
     def close(self) -> None:
         self.stop()
         self._capture.release()
-
-    def _read(self) -> tuple[int, Image] | None:
-        """The next image and when it came, by the monotonic clock; None where there is none any more."""
-        try:
-            if not self._capture.grab():
-                return None
-            stamp_ns = time.monotonic_ns()
-            ok, pixels = self._capture.retrieve()
-        except cv2.error:  # a damaged stream may ask for an impossible size
-            return None
-        image = as_frame_image(pixels) if ok else None
-        return None if image is None else (stamp_ns, image)
 
     def _read_again(self) -> tuple[int, Image] | None:
         """The first image after the stream has come back; None where its end is the end.
@@ -109,7 +96,7 @@ class LiveSource(Source):
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
             self._capture.release()
             self._capture = _open(self._device)
-            found = self._read() if self._capture.isOpened() else None
+            found = read_image(self._capture) if self._capture.isOpened() else None
             if found is not None:
                 self.reconnects += 1
                 log.warning("%s: the stream is back after %.1f s", self._title, time.monotonic() - begin_s)

@@ -60,19 +60,22 @@ class RealtimeSource(WrappedSource):
 class FreshFrames(WrappedSource):
     """A live source that never makes its device wait: a thread reads, and the oldest of the waiting frames are dropped.
 
-    Frames keep their index, so that gaps show. Until the second frame is asked for, a consumer prepares with the first:
-    a recording waits for it, and what a camera sends meanwhile is not counted as `dropped`.
+    Frames keep their index, so that gaps show; the first one that is dropped costs a warning. A recording waits until
+    the second frame is asked for.
 
     Args:
         source: the live source.
         max_latency_s: a frame that has waited longer, in seconds, is dropped.
+        prepares: whether the consumer warms up with the first frame: then frames dropped until it asks for the second
+            are not counted.
     """
 
     dropped = 0
 
-    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S) -> None:
+    def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S, *, prepares: bool = False) -> None:
         super().__init__(source)
         self._max_latency_s = max_latency_s
+        self._prepares = prepares
         self._waiting: deque[Frame] = deque()
         self._changed = threading.Condition()
         self._asked = 0  # frames
@@ -82,8 +85,12 @@ class FreshFrames(WrappedSource):
 
     def __iter__(self) -> Iterator[Frame]:
         self._reader.start()
-        while (frame := self._take()) is not None:
-            yield frame
+        try:
+            while (frame := self._take()) is not None:
+                yield frame
+        finally:
+            if self.dropped:
+                log.info("%s: dropped %d frames", self.name, self.dropped)
         if self._error is not None:
             raise self._error
 
@@ -137,7 +144,7 @@ class FreshFrames(WrappedSource):
 
     def _drop(self) -> None:
         self._waiting.popleft()
-        if self._asked > 1:
+        if self._asked > 1 or not self._prepares:
             self.dropped += 1
             if self.dropped == 1:
                 log.warning("%s: frames come faster than they are processed: dropping the oldest", self.name)

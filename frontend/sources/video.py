@@ -13,8 +13,7 @@ import cv2
 from airline.errors import InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.opencv import Image, as_frame_image, quiet
-from frontend.sources.skips import Skips
+from frontend.sources.reading import Image, Skips, quiet, read_image
 
 log = logging.getLogger(__name__)
 
@@ -96,12 +95,8 @@ class VideoSource(Source):
         return None
 
     def _try_read(self) -> tuple[float, Image] | None:
-        try:
-            ok, pixels = self._capture.read()
-        except cv2.error:  # a damaged header may ask for an impossible size
-            return None
-        image = as_frame_image(pixels) if ok else None
-        return None if image is None else (self._capture.get(cv2.CAP_PROP_POS_MSEC), image)
+        found = read_image(self._capture)
+        return found and (self._capture.get(cv2.CAP_PROP_POS_MSEC), found[1])
 
     def _frame(self, time_ms: float, image: Image) -> Frame:
         """Number and stamp a frame; a time that does not advance is replaced by the frame rate's."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.sources.opencv import Image
+from frontend.sources.reading import Image
 from logs.images.encoded import decode_encoded
 from logs.messages.types import EncodedImage, RawImage, UndecodableError, VideoPacket
 

@@ -16,7 +16,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from frontend.sources.opencv import Image, as_frame_image
+from frontend.sources.reading import Image, as_frame_image
 from logs.messages.types import Bytes, UndecodableError
 
 MOST_PIXELS = 1 << 26

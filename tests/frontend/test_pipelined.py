@@ -191,7 +191,7 @@ class SlowSink:
 def test_a_run_counts_what_a_live_source_dropped(serial: bool, caplog: pytest.LogCaptureFixture) -> None:
     camera, sink = Camera(100), SlowSink()
     config = load(None, {"detector": {"edges": {"detector": "canny", "thin": False}}, "serial": serial})
-    code, summary = process(camera if serial else FreshFrames(camera, 0.5), config, [sink])
+    code, summary = process(camera if serial else FreshFrames(camera, 0.5, prepares=True), config, [sink])
     assert code == 0
     assert (sink.closed, sink.threads) == (1, {threading.get_ident()})
     assert summary.frames == len(sink.frames)

@@ -14,7 +14,7 @@ from airline.network.spec import UNetSpec
 from airline.network.weights import load_ranges, load_weights
 from frontend.camera.calibration import read_calibration
 from frontend.cli.settings import RunConfig, dump, load
-from frontend.sources.opencv import decode_image
+from frontend.sources.reading import decode_image
 from logs import read_tracks
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still

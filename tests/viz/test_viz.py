@@ -13,7 +13,7 @@ from frontend.colours import track_colours
 from tests.helpers.command import EVERY_FRAME as OF_A_RUN
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 from tests.helpers.viewer import FRAMES, names_of_views, record
-from viz.pictures import (
+from viz.stages import (
     ANGLES,
     STRENGTHS,
     coarse_descriptors,
