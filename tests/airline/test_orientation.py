@@ -56,12 +56,10 @@ def test_kernels_are_centred_lines_at_even_angles(channels, size):
 
 
 def test_a_line_answers_strongest_in_its_own_channel():
+    describer = LineKernelOrientation(OrientationConfig(kernel_size=9))
     for n in range(6):
         edges = np.pad(line_kernels(6, 9)[n], 8)
-        middle = np.array([[12, 12]], np.int32)
-        descriptor = LineKernelOrientation(OrientationConfig(kernel_size=9)).describe(
-            edges, np.zeros(edges.shape, np.uint8), middle
-        )[0]
+        (descriptor,) = describer.describe(edges, np.zeros(edges.shape, np.uint8), np.array([[12, 12]], np.int32))
         assert descriptor.argmax() == n
         assert np.linalg.norm(descriptor) == pytest.approx(1, abs=1e-6)
 

@@ -56,31 +56,20 @@ def test_lines_move_onto_the_edge(degrees, dx, dy, at_start, at_end):
         assert np.array_equal(refined.scores, lines.scores)
 
 
-def test_noise_hardly_moves_a_line():
-    line = ideal_line(30, (0, 0))
-    moves = []
-    for seed in range(20):
-        noise = np.random.default_rng(seed).normal(40, 8, (SIZE, SIZE))
-        moves.append(errors(ImageRefiner().refine(displaced(line, 0, 0), as_image(noise)), line).max())
-    assert np.median(moves) < 0.2
-
-
-def test_a_noisy_edge_still_helps():
-    line, rng = ideal_line(73, (0.2, 0.1)), np.random.default_rng(0)
-    left = []
+@pytest.mark.parametrize(("low", "high", "shift"), [(40, 40, 0), (40, 80, 0.3)])
+def test_noise_hardly_moves_a_line_and_a_noisy_edge_still_helps(low, high, shift):
+    line, rng, left = ideal_line(73, (0.2, 0.1)), np.random.default_rng(0), []
     for _ in range(20):
-        image = as_image(step_edge(line, 40, 80) + rng.normal(0, 8, (SIZE, SIZE)))
-        left.append(errors(ImageRefiner().refine(displaced(line, 0.3, 0.3), image), line).max())
+        image = as_image(step_edge(line, low, high) + rng.normal(0, 8, (SIZE, SIZE)))
+        left.append(errors(ImageRefiner().refine(displaced(line, shift, shift), image), line).max())
     assert np.median(left) < 0.2
 
 
 def test_a_far_edge_leaves_the_line_alone():
     line = ideal_line(0, (0, 0))
-    lines = displaced(line, 0.8, 0.8)
-    assert np.array_equal(ImageRefiner().refine(lines, as_image(step_edge(line))).segments, lines.segments)
-    assert np.array_equal(
-        ImageRefiner(RefineConfig(max_shift=0)).refine(lines, as_image(step_edge(line))).segments, lines.segments
-    )
+    lines, image = displaced(line, 0.8, 0.8), as_image(step_edge(line))
+    for refiner in (ImageRefiner(), ImageRefiner(RefineConfig(max_shift=0))):
+        assert np.array_equal(refiner.refine(lines, image).segments, lines.segments)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 7), (8, 200)])

@@ -39,9 +39,7 @@ def test_scores_rank_true_lines_first(light):
         gray = darken(sample.gray, number) if light == "dark" else sample.gray
         lines = detector(gray)
         distance = distance_to(draw(sample.pieces, gray.shape))
-        at = (lines.segments[:, :1] + np.diff(lines.segments, axis=1) * np.linspace(0, 1, 15)[:, None]).astype(
-            np.float32
-        )
+        at = lines.segments[:, :1] + np.diff(lines.segments, axis=1) * np.linspace(0, 1, 15, dtype=np.float32)[:, None]
         truth.append((cv2.remap(distance, at[..., 0], at[..., 1], cv2.INTER_NEAREST) <= 2).mean(axis=1) > 0.6)
         scores.append(lines.scores)
     true = np.concatenate(truth)

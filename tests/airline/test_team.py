@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import time
 
 import numpy as np
 import pytest
@@ -31,12 +30,6 @@ def test_an_error_of_any_part_is_raised() -> None:
     with pytest.raises(ValueError, match="the last part"):
         ThreadTeam(4).map_range(100, 1, fail_at_the_end)
     assert ThreadTeam(4).map_range(4, 1, lambda start, end: end) == [1, 2, 3, 4]
-
-
-def test_threads_that_have_gone_to_sleep_help_again() -> None:
-    for pause in (0, 0.001, 0.02, 0):
-        time.sleep(pause)
-        assert ThreadTeam(3).map_range(30, 1, lambda start, end: end - start) == [10, 10, 10]
 
 
 def halves() -> None:

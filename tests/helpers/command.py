@@ -45,6 +45,15 @@ def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outc
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
+def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
+    """The one sentence with which a command line refuses its arguments or its input, printing nothing else."""
+    outcome = command(*arguments, main=main)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: ")
+    assert (outcome.err.count("\n"), outcome.out) == (1, "")
+    return outcome.err
+
+
 def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
     """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
