@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -67,7 +68,10 @@ def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
     from rerun.chunk import RrdReader
 
     entities: dict[str, dict[str, list[Any]]] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*footer")  # of a recording that somebody killed
+        chunks = RrdReader(path).stream().to_chunks()
+    for chunk in chunks:
         columns = entities.setdefault(chunk.entity_path, {})
         batch = chunk.to_record_batch()
         for name, column in zip(batch.schema.names, batch.columns, strict=True):

@@ -87,11 +87,6 @@ def test_a_wheel_with_too_much_or_too_little_is_told(tmp_path: Path) -> None:
         made.writestr("airline/py.typed", "")
         made.writestr("airline/film.bin", bytes(100_000))
         made.writestr("tests/conftest.py", "")
-    faults = wheel.faults_of_wheel(path)
-    for part in (
-        "default.safetensors is missing",
-        "viz/py.typed is missing",
-        "film.bin has",
-        "tests/conftest.py does not",
-    ):
-        assert any(part in fault for fault in faults), part
+    faults = "\n".join(wheel.faults_of_wheel(path))
+    for part in ("default.safetensors is missing", "viz/py.typed is missing", "film.bin has", "conftest.py does not"):
+        assert part in faults

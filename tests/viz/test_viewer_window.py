@@ -19,11 +19,9 @@ from tests.helpers.ports import free_port, listening
 from tests.helpers.viewer import viewers
 from viz.viewer import open_viewer, start, stop
 
-NO_SCREEN = ":4077"
-
 
 def test_a_dead_display_opens_nothing_and_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
-    monkeypatch.setenv("DISPLAY", NO_SCREEN)
+    monkeypatch.setenv("DISPLAY", ":4077")  # a screen that is not there
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
     port = free_port()
@@ -44,12 +42,11 @@ def test_a_window_opens_and_is_used_again(monkeypatch):
         deadline = time.monotonic() + 10
         while not Path(f"/tmp/.X11-unix/X{number}").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
-        address = f"127.0.0.1:{port}"
-        assert open_viewer(port) == address
+        assert open_viewer(port) == f"127.0.0.1:{port}"
         assert listening(port) == {"0100007F"}, "other machines must not reach the viewer"
         running = viewers(port)
         assert len(running) >= 1
-        assert open_viewer(port) == address
+        assert open_viewer(port) == f"127.0.0.1:{port}"
         assert viewers(port) == running, "the open window is used, no second one comes"
     finally:
         for process in viewers(port):
