@@ -23,7 +23,7 @@ from airline.network.torch_runtimes import TorchNetwork
 from airline.network.unet import UNet
 from airline.network.weights import load_ranges, load_weights, save_unet
 from airline.training.ranges import measure_ranges
-from tests.helpers.edges import pictures
+from tests.helpers.pictures import pictures
 
 if vector_instructions() is None:
     pytest.skip("needs a processor with AVX2", allow_module_level=True)

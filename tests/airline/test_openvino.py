@@ -17,7 +17,7 @@ from airline.network.spec import SPECS, UNetSpec
 from airline.network.torch_runtimes import TorchNetwork
 from airline.network.unet import UNet
 from airline.network.weights import save_unet
-from tests.helpers.edges import assert_close, pictures
+from tests.helpers.pictures import assert_close, pictures
 
 pytest.importorskip("openvino")
 from airline.network.openvino_cpu import OpenVinoNetwork

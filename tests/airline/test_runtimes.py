@@ -23,7 +23,7 @@ from airline.network.spec import SPECS
 from airline.network.torch_runtimes import CudaNetwork, TorchNetwork
 from airline.network.unet import UNet
 from airline.network.weights import load_unet
-from tests.helpers.edges import assert_close, pictures
+from tests.helpers.pictures import assert_close, pictures
 
 NATIVE: list[Runtime] = [] if vector_instructions() is None else ["native"]
 RUNTIMES: list[Runtime] = [*NATIVE, *(["openvino"] if importlib.util.find_spec("openvino") else [])]

@@ -10,11 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
-from airline.evaluation.benchmark import lsd
-from airline.evaluation.metrics import mean, pixel_scores
 from airline.scenes import CameraEffects, RenderedClip, RenderedView, render_clip
 from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, merge_collinear
-from airline.scenes.camera import blur_rotation, develop, rotation
+from airline.scenes.camera import develop, rotation
 from airline.scenes.clip import build_scene, render_scene
 
 KINDS = ("indoor", "street", "shelves")
@@ -173,9 +171,9 @@ def test_edges_are_placed_and_smoothed_to_a_fraction_of_a_pixel():
     columns = np.arange(50, 590)
     # The share of light pixels in a column, counted from the image's upper border at -0.5, is the edge's position.
     measured = ((linear[:, columns, 0] - dark) / (light - dark)).sum(axis=0) - 0.5
-    expected = y0 + (columns - x0) * (y1 - y0) / (x1 - x0)
-    assert np.abs(measured - expected).max() < 0.2
-    assert np.abs((measured - expected).mean()) < 0.01
+    off = measured - (y0 + (columns - x0) * (y1 - y0) / (x1 - x0))
+    assert np.abs(off).max() < 0.2
+    assert np.abs(off.mean()) < 0.01
 
 
 def test_shared_and_touching_edges_become_one_line():
@@ -183,17 +181,6 @@ def test_shared_and_touching_edges_become_one_line():
     merged = merge_collinear(np.array([*rows, [[0, 0, 1], [1, 0, 1]]], np.float64))
     expected = [[[0, 0, 0], [2, 0, 0]], [[0, 0, 1], [1, 0, 1]], [[3, 0, 0], [4, 0, 0]]]
     np.testing.assert_allclose(merged[np.lexsort((merged[:, 0, 2], merged[:, 0, 0]))], expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_line_detector_agrees_with_the_ground_truth(kind):
-    scores = []
-    for seed in (2, 3):
-        view = RenderedClip(kind=kind, seed=seed, frames=1, effects=None).render(0)
-        found = lsd()(cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY))
-        scores.append(pixel_scores(found, view.segments_px, view.segments_px, view.depth.shape))
-    assert mean(scores).r1 > 85
-    assert mean(scores).p2 > 75
 
 
 @pytest.mark.parametrize(
@@ -249,17 +236,6 @@ def test_noise_vignetting_gamma_and_exposure():
     assert abs(np.corrcoef(noisy[:, :-1].ravel(), noisy[:, 1:].ravel())[0, 1]) < 0.02
     assert not np.array_equal(noisy, seen(1.0, frame=1, noise_sigma=6))
     assert (dimmed[100, 150, 0], dimmed[0, 0, 0]) == (64, 32)
-
-
-def test_motion_blur_smears_along_the_motion_only():
-    K = np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]])
-    linear = np.zeros((240, 320, 3), np.float32)
-    linear[:, 160:] = 1.0
-    turns = [rotation(angle, 0, 0).T @ rotation(0, 0, 0) for angle in np.linspace(-0.01, 0.01, 7)]
-    across = blur_rotation(linear, K, turns)[120, :, 0]
-    assert 4 <= ((across > 0.02) & (across < 0.98)).sum() <= 8
-    along = blur_rotation(np.ascontiguousarray(linear.transpose(1, 0, 2)), K, turns)[:, 120, 0]
-    assert ((along > 0.02) & (along < 0.98)).sum() <= 2
 
 
 def test_fast_motion_is_blurred_and_exposure_drifts():

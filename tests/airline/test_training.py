@@ -9,9 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from airline.training.consensus import PIECE, consensus, detect_lsd
+from airline.train import HELD_OUT_SCENES
+from airline.training.consensus import PIECE, consensus
 from airline.training.crops import draw_labels, pixel_weights, random_crop, random_light
-from airline.training.dataset import Sample, cut, fingerprint, label_image, load_samples, render_sample
+from airline.training.dataset import (
+    FIRST_SEED,
+    HELD_OUT_SEED,
+    Sample,
+    cut,
+    fingerprint,
+    label_image,
+    load_samples,
+    render_sample,
+)
 from airline.training.loop import edge_loss
 from tests.helpers.pictures import labelled, picture
 
@@ -43,28 +53,16 @@ def test_labels_are_ridges_of_the_lines_shares():
     assert target[24].max() == 0
 
 
-def test_lsd_positions_count_from_the_pixel_centre():
-    image = np.full((128, 128), 60, np.uint8)
-    image[:, 64:] = 180  # the edge is at x = 63.5
-    for scale in (1.0, 0.5):
-        found = detect_lsd(image, scale)
-        assert len(found) >= 1
-        assert np.abs(found[:, :, 0] - 63.5).max() < 0.15
-
-
 def test_consensus_trusts_edges_and_not_noise():
     image = np.full((200, 200), 90, np.uint8)
     image[50:150, 40:160] = 200
     rng = np.random.default_rng(0)
-    noisy = np.clip(image + rng.normal(0, 6, image.shape), 0, 255).astype(np.uint8)
-    pieces, shares = consensus(noisy, 6, rng)
-    middle = pieces.mean(axis=1)
-    corners = np.array([[39.5, 49.5], [159.5, 149.5]])
-    gap = np.minimum(np.abs(middle - corners[0]), np.abs(middle - corners[1])).min(axis=1)
-    on_edge = gap < 1.0
+    pieces, shares = consensus(np.clip(image + rng.normal(0, 6, image.shape), 0, 255).astype(np.uint8), 6, rng)
+    gaps = np.abs(pieces.mean(axis=1)[:, None] - [[39.5, 49.5], [159.5, 149.5]]).min(axis=(1, 2))
+    on_edge = gaps < 1.0
     assert on_edge.sum() * 8 > 0.7 * 440, "most of the outline is labelled"
     assert shares[on_edge].mean() > 0.8
-    assert gap[on_edge & (shares > 0.5)].mean() < 0.2, "views with all turns leave no bias"
+    assert gaps[on_edge & (shares > 0.5)].mean() < 0.2, "views with all turns leave no bias"
     assert shares[~on_edge].sum() < 0.05 * shares[on_edge].sum()
 
 
@@ -87,20 +85,18 @@ def test_a_crop_moves_its_labels_with_the_image():
 def test_bad_light_keeps_things_in_their_place():
     dot = np.zeros((65, 65), np.uint8)
     dot[31:34, 31:34] = 255
-    y, x = np.mgrid[:65, :65] - 32
     seen = [random_light(dot, np.random.default_rng(seed)).astype(float) for seed in range(60)]
     assert len({image.tobytes() for image in seen}) > 50
     weights = np.mean(seen, axis=0) - np.median(seen)
-    assert (weights * x).sum() / weights.sum() == pytest.approx(0, abs=0.3)
-    assert (weights * y).sum() / weights.sum() == pytest.approx(0, abs=0.3)
+    for places in np.mgrid[:65, :65] - 32:
+        assert (weights * places).sum() / weights.sum() == pytest.approx(0, abs=0.3)
 
 
 def test_rendered_scenes_label_every_visible_line():
     sample = render_sample(3)
-    delta = sample.pieces[:, 1] - sample.pieces[:, 0]
     assert sample.gray.shape == (480, 640)
     assert len(sample.pieces) > 100
-    assert np.linalg.norm(delta, axis=1).max() < 2 * PIECE
+    assert np.linalg.norm(sample.pieces[:, 1] - sample.pieces[:, 0], axis=1).max() < 2 * PIECE
     assert (sample.shares == 1).all()
     gradient = gradient_of(cv2.GaussianBlur(sample.gray, (0, 0), 1.0))
     x, y = np.rint(sample.pieces.mean(axis=1)).astype(int).T
@@ -114,6 +110,10 @@ def test_cutting_keeps_every_line_whole():
     np.testing.assert_allclose(pieces[[0, 5, 6], [0, 1, 0]], [[0, 0], [30, 40], [5, 5]], atol=1e-4)
     np.testing.assert_allclose(pieces[1:6, 0], pieces[:5, 1], atol=1e-4)
     assert cut(lines[:0]).shape == (0, 2, 2)
+
+
+def test_held_out_scenes_are_not_trained_on():
+    assert HELD_OUT_SEED + HELD_OUT_SCENES <= FIRST_SEED
 
 
 def test_labels_are_kept_and_a_damaged_cache_is_mended(tmp_path, caplog):

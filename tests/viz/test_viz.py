@@ -15,8 +15,6 @@ from tests.helpers.made_tracks import blank_tracks
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.pictures import (
-    ANGLES,
-    STRENGTHS,
     coarse_descriptors,
     edge_image,
     line_angles,
@@ -184,22 +182,3 @@ def test_orientation_image_shows_angle_as_hue_and_is_black_off_the_edges():
     red, green, blue = picture[y1, x1].tolist()  # vertical is the opposite, cyan
     assert red < 128
     assert green == blue == 255
-
-
-def test_orientations_are_periodic_and_faint_edges_dark_but_not_black():
-    trace = trace_of(rectangle(0))
-    angles = np.pi - np.array([1e-6, 0.02, 0.04], np.float32)  # radians; one step is 0.052
-    doubled = 2 * (angles[:, None] - np.arange(6) * np.pi / 6)
-    y, x = np.array([10, 20, 30]), np.array([10, 20, 30])
-    edges = np.zeros_like(trace.edges)
-    edges[y, x] = 1.0, 0.1, 0.1
-    some = dataclasses.replace(
-        trace,
-        edges=edges,
-        pixels=np.stack([x, y], axis=1).astype(np.int32),
-        descriptors=np.cos(doubled).astype(np.float32),
-    )
-    classes = orientation_classes(some)[y, x].tolist()
-    assert classes == [STRENGTHS, 1, 1 + STRENGTHS * (ANGLES - 1)]
-    assert np.count_nonzero(orientation_classes(some)) == 3
-    assert orientation_palette()[1:].max(axis=1).min() > 80
