@@ -102,11 +102,9 @@ def test_without_openvino_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) ->
     ("features", "limit", "bf16", "isa"),
     [
         (XEON, None, True, AVX512_VNNI),
-        (XEON, "AVX512_CORE_BF16", True, AVX512_VNNI),
         (XEON, "AVX2_VNNI", False, AVX2_VNNI),
         (XEON, "AVX512_CORE", False, AVX2),
         (XEON, "SSE41", False, None),
-        ({"sse2", "avxvnni"}, "DEFAULT", False, AVX2_VNNI),
         ({"sse2", "avx2", "fma"}, None, False, AVX2),
         ({"neon"}, None, True, None),
     ],
