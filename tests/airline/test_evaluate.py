@@ -96,14 +96,6 @@ def test_lines_at_an_angle_do_not_match(degrees, matches):
     assert len(match(_line(-5.5, 0, 5.5, 0), _line(*-arm, *arm))) == matches
 
 
-def test_clipping_keeps_what_is_inside():
-    frame = corners((11, 21))
-    assert clip(_line(-10, 5, 30, 5), frame).tolist() == [[[0, 5], [20, 5]]]
-    assert clip(_line(5, 20, 15, 0), frame).tolist() == [[[10, 10], [15, 0]]]
-    assert clip(_line(3, 2, 18, 9), frame).tolist() == [[[3, 2], [18, 9]]]
-    assert len(clip(_line(-10, 5, -1, 5), frame)) == len(clip(_line(0, 12, 20, 12), frame)) == 0
-
-
 def test_views_agree_with_their_homography():
     image = np.zeros((240, 320), np.uint8)
     cv2.circle(image, (140, 110), 4, 255, -1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +14,6 @@ from logs.sinks.mcap_tracks import McapTrackSink
 from logs.sinks.parquet import ParquetTrackSink
 from tests.helpers.command import recorded, refusal
 from tests.helpers.made_tracks import clip_results, write_tracks
-from tests.helpers.viewer import needs_viewer
 from viz.compare import main, match_lines
 
 SHIFT_PX = 0.5
@@ -119,22 +117,3 @@ def test_lines_are_matched_one_to_one():
     assert distances[1] == pytest.approx(0.5)
     assert all(len(part) == 0 for part in match_lines(first[:0], second))
     assert all(len(part) == 0 for part in match_lines(first * np.float32(np.nan), second))
-
-
-@needs_viewer
-def test_viewer_shows_both_runs(files, tmp_path):
-    from viz.snapshot import save_picture
-
-    compared(tmp_path, files / "a.mcap", files / "b.parquet")
-    assert save_picture(tmp_path / "out.rrd", tmp_path / "picture.png", frame=8, size=(1280, 800)) == []
-    shown = cv2.imread(str(tmp_path / "picture.png")).astype(int)
-    left, right = shown[:, :640], shown[:, 640:]
-    tracks = clip_results()[8].tracks
-    lengths = np.linalg.norm(tracks.segments_px[:, 1] - tracks.segments_px[:, 0], axis=1)
-    rows = np.flatnonzero(tracks.confirmed & (lengths > 60) & (np.arange(len(tracks)) % 5 != 0))
-    assert len(rows) > 5
-    both = [
-        all((np.abs(side - colour).max(axis=2) < 12).sum() > 30 for side in (left, right))
-        for colour in track_colours(tracks.ids[rows])[:, ::-1]
-    ]
-    assert np.mean(both) > 0.8

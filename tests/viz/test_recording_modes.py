@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from frontend.colours import CYCLE, hsv_to_rgb, track_colours
+from frontend.colours import CYCLE, track_colours
 from tests.helpers.command import command, recorded, refusal
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
@@ -148,13 +148,6 @@ def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
     ids = np.array([0, 1, 77, CYCLE - 1])
     for track, (red, green, blue) in zip(ids.tolist(), track_colours(ids).tolist(), strict=True):
         assert colours[1 + track] == red << 24 | green << 16 | blue << 8 | 255
-
-
-def test_colours_come_round_without_a_visible_seam():
-    seam = np.arange(CYCLE - 5, CYCLE + 5)
-    hues, saturations = seam * (np.sqrt(5) - 1) / 2 % 1, np.repeat([0.8, 0.9], 5)
-    unbroken = hsv_to_rgb(hues, saturations, np.ones(10)).astype(int)
-    assert np.abs(track_colours(seam) - unbroken).max() <= 2
 
 
 def test_poses_and_lines_in_space(tmp_path):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from frontend.colours import track_colours
+from frontend.colours import CYCLE, track_colours
 from tests.helpers.command import EVERY_FRAME as OF_A_RUN
 from tests.helpers.made_tracks import blank_tracks
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
@@ -136,7 +136,8 @@ def test_frame_without_lines_clears_what_was_shown(tmp_path, image):
 
 
 def test_track_colours_are_stable_bright_and_far_apart():
-    ids = np.arange(2000, 2300)
+    """Also where they come round."""
+    ids = np.arange(CYCLE - 150, CYCLE + 150)
     colours = track_colours(ids)
     np.testing.assert_array_equal(track_colours(ids[::-1])[::-1], colours)
     assert (colours.max(axis=1) >= 250).all()
