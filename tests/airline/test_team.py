@@ -50,6 +50,6 @@ def test_any_number_of_threads_gives_the_same_bits(scene: np.ndarray) -> None:
     for threads in (2, 3, 4):
         team = AirLine(threads=threads, edges=edges).trace(scene)
         for name in ("pixels", "positions", "descriptors", "labels"):
-            assert np.array_equal(getattr(team, name), getattr(alone, name)), name
-        assert np.array_equal(team.lines.segments, alone.lines.segments)
-        assert np.array_equal(team.lines.scores, alone.lines.scores)
+            np.testing.assert_array_equal(getattr(team, name), getattr(alone, name), name)
+        np.testing.assert_array_equal(team.lines.segments, alone.lines.segments)
+        np.testing.assert_array_equal(team.lines.scores, alone.lines.scores)

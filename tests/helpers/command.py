@@ -9,7 +9,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,14 +92,9 @@ def read_screen(control: int, watch: Callable[[bytes], None] = lambda screen: No
     `watch` is called with the raw screen so far after every part.
     """
     screen = b""
-    while True:
-        try:
-            part = os.read(control, 4096)
-        except OSError:  # how Linux says that nobody holds the terminal any more
-            break
-        if not part:
-            break
-        screen += part
-        watch(screen)
+    with suppress(OSError):  # how Linux says that nobody holds the terminal any more
+        while part := os.read(control, 4096):
+            screen += part
+            watch(screen)
     os.close(control)
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())

@@ -105,11 +105,7 @@ def publish(address: str) -> None:
 
 
 def run_page(page: str) -> list[str]:
-    """Run all blocks of a page; what went wrong.
-
-    Raises:
-        PageError: a marker without sense, or a block in a language that the checks do not know.
-    """
+    """Run all blocks of a page; what went wrong."""
     failures: list[str] = []
     given = names() if "```python" in page else {}
     for port in ("5555", "8765"):
