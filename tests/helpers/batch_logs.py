@@ -20,9 +20,7 @@ def camera_log(path: Path, clip: Path) -> Path:
     messages = []
     for number, picture in enumerate(sorted(clip.iterdir())):
         stamp_ns = EPOCH_NS + number * STEP_NS
-        data = cdr(
-            "CompressedImage", stamp_ns=stamp_ns, format="png", data=np.frombuffer(picture.read_bytes(), np.uint8)
-        )
+        data = cdr("CompressedImage", stamp_ns=stamp_ns, format="png", data=np.fromfile(picture, np.uint8))
         messages.append(Logged(stamp_ns, data))
     path.parent.mkdir(parents=True, exist_ok=True)
     return write_log(path, {"/camera": Channel("sensor_msgs/msg/CompressedImage", "cdr", messages)}, 100_000)

@@ -62,9 +62,8 @@ def images(count: int, late_ns: int = 0, kind: str = "Image") -> Channel:
 
 def text(count: int = 3) -> Channel:
     """A topic that is no camera."""
-    return Channel(
-        "std_msgs/msg/String", "cdr", [Logged(EPOCH_NS + number, b"\0\1\0\0hello") for number in range(count)]
-    )
+    messages = [Logged(EPOCH_NS + number, b"\0\1\0\0hello") for number in range(count)]
+    return Channel("std_msgs/msg/String", "cdr", messages)
 
 
 def write_log(path: Path, topics: Mapping[str, Channel], chunk_size: int = 1000) -> Path:

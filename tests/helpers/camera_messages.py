@@ -50,30 +50,18 @@ def ros(store: Any, kind: str, stamp_ns: int = STAMP_NS, **fields: Any) -> Any:
 
 def image_fields(data: bytes, width: int, height: int, encoding: str, step: int, big_endian: bool = False) -> Any:
     """Fields of sensor_msgs/Image."""
-    return {
-        "height": height,
-        "width": width,
-        "encoding": encoding,
-        "is_bigendian": int(big_endian),
-        "step": step,
-        "data": np.frombuffer(data, np.uint8),
-    }
+    given = {"height": height, "width": width, "encoding": encoding, "step": step}
+    return {**given, "is_bigendian": int(big_endian), "data": np.frombuffer(data, np.uint8)}
 
 
 def info_fields(store: Any) -> Any:
     """Fields of sensor_msgs/CameraInfo, which have capitals in ROS 1."""
-    roi = store.types["sensor_msgs/msg/RegionOfInterest"](
-        x_offset=8, y_offset=4, height=400, width=600, do_rectify=True
-    )
+    region = {"x_offset": 8, "y_offset": 4, "height": 400, "width": 600, "do_rectify": True}
     arrays = {"d": D, "k": K, "r": R, "p": P}
     return {
-        "height": 480,
-        "width": 640,
-        "distortion_model": "plumb_bob",
         **{name.upper() if store is ROS1 else name: np.array(array) for name, array in arrays.items()},
-        "binning_x": 2,
-        "binning_y": 1,
-        "roi": roi,
+        **{"height": 480, "width": 640, "distortion_model": "plumb_bob", "binning_x": 2, "binning_y": 1},
+        "roi": store.types["sensor_msgs/msg/RegionOfInterest"](**region),
     }
 
 

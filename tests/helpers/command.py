@@ -7,8 +7,9 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,15 @@ def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outc
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
+def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
+    """The one sentence with which a command line refuses its arguments or its input, printing nothing else."""
+    outcome = command(*arguments, main=main)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: ")
+    assert (outcome.err.count("\n"), outcome.out) == (1, "")
+    return outcome.err
+
+
 def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
     """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
@@ -58,7 +68,10 @@ def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
     from rerun.chunk import RrdReader
 
     entities: dict[str, dict[str, list[Any]]] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*footer")  # of a recording that somebody killed
+        chunks = RrdReader(path).stream().to_chunks()
+    for chunk in chunks:
         columns = entities.setdefault(chunk.entity_path, {})
         batch = chunk.to_record_batch()
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
@@ -79,14 +92,9 @@ def read_screen(control: int, watch: Callable[[bytes], None] = lambda screen: No
     `watch` is called with the raw screen so far after every part.
     """
     screen = b""
-    while True:
-        try:
-            part = os.read(control, 4096)
-        except OSError:  # how Linux says that nobody holds the terminal any more
-            break
-        if not part:
-            break
-        screen += part
-        watch(screen)
+    with suppress(OSError):  # how Linux says that nobody holds the terminal any more
+        while part := os.read(control, 4096):
+            screen += part
+            watch(screen)
     os.close(control)
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", screen.decode())

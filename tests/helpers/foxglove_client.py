@@ -19,16 +19,9 @@ class FoxgloveClient:
     def __init__(self, address: str) -> None:
         host, _, port = address.removeprefix("ws://").partition(":")
         self._socket = socket.create_connection((host, int(port)), timeout=10)
-        lines = [
-            "GET / HTTP/1.1",
-            f"Host: {host}:{port}",
-            "Upgrade: websocket",
-            "Connection: Upgrade",
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-            "Sec-WebSocket-Version: 13",
-            f"Sec-WebSocket-Protocol: {SUBPROTOCOL}",
-        ]
-        self._socket.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        request = f"GET / HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        request += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n"
+        self._socket.sendall(f"{request}Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n".encode())
         self._stream = self._socket.makefile("rb")
         status = self._stream.readline()
         assert b" 101 " in status, status

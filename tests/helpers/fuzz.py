@@ -47,24 +47,20 @@ def mutated(rng: random.Random, samples: list[bytes]) -> bytes:
         return rng.randbytes(rng.randrange(200))
     for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
         place = rng.randrange(len(data) + 1)
-        length = min(rng.choice((1, 1, 2, 4, 8, 40)), len(data) - place)
-        part = slice(place, place + length)
-        kind = rng.randrange(8)
-        if kind == 0 and length:
-            data[place] ^= 1 << rng.randrange(8)
-        elif kind == 1:
-            data[part] = rng.randbytes(length)
-        elif kind == 2:
-            del data[part]
-        elif kind == 3:
-            data[place:place] = data[part] * rng.choice((1, 2, 50))
-        elif kind in (4, 5):
-            data[part] = rng.choice(_NUMBERS if kind == 4 else _WORDS)
-        elif kind == 6:
-            other = rng.choice(samples)
-            start = rng.randrange(len(other) + 1)
-            data[part] = other[start : start + rng.choice((4, 16, 64))]
-        elif rng.random() < 0.3:
+        part = data[place : place + rng.choice((1, 1, 2, 4, 8, 40))]
+        other = rng.choice(samples)
+        start = rng.randrange(len(other) + 1)
+        changed: list[bytes] = [
+            bytes(byte ^ 1 << rng.randrange(8) for byte in part[:1]) + part[1:],
+            rng.randbytes(len(part)),
+            b"",
+            part * rng.choice((2, 3, 50)),
+            rng.choice(_NUMBERS),
+            rng.choice(_WORDS),
+            other[start : start + rng.choice((4, 16, 64))],
+        ]
+        data[place : place + len(part)] = rng.choice(changed)
+        if rng.random() < 0.04:
             del data[place:]
     return bytes(data)
 
@@ -118,7 +114,7 @@ def main() -> int:
     parser.add_argument("--only", help="one target")
     options = parser.parse_args()
     logging.disable(logging.ERROR)
-    total = found = 0
+    found = 0
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         for name, target in all_targets(folder).items():
@@ -131,9 +127,8 @@ def main() -> int:
                 path = options.keep / f"{name}-{number}".replace("/", "_").replace(" ", "_")
                 path.write_bytes(data)
                 print(f"  {path}: {wrong}", flush=True)
-            total, found = total + options.inputs, found + len(findings)
-    print(f"{total} inputs, {found} findings")
-    return 1 if found else 0
+            found += len(findings)
+    return min(found, 1)
 
 
 if __name__ == "__main__":

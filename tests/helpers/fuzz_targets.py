@@ -14,6 +14,7 @@ from airline.network.spec import UNetSpec
 from airline.network.weights import load_ranges, load_weights
 from frontend.camera.calibration import read_calibration
 from frontend.cli.settings import RunConfig, dump, load
+from frontend.protocols import FrameResult
 from frontend.sources.reading import decode_image
 from logs import read_tracks
 from logs.files.mcap_file import McapFile
@@ -21,11 +22,11 @@ from logs.images.decoder import decode_still
 from logs.messages.readers import reader_for
 from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from logs.sinks.foxglove import McapTrackSink
-from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
+from logs.sinks.tables import ParquetTrackSink
 from logs.tracks.json import decode_tracks, encode_tracks
 from logs.tracks.message import decode
 from tests.frontend import test_calibration as calibrations
-from tests.helpers.made_tracks import made_tracks, result_of
+from tests.helpers.made_tracks import made_tracks, result_of, write_tracks
 from tests.helpers.mcap_logs import messages, write
 from tests.logs.test_live_message import encoded
 from tests.logs.test_log_messages import MESSAGES
@@ -35,30 +36,24 @@ Target = tuple[list[bytes], Callable[[bytes], object]]
 
 def all_targets(folder: Path) -> dict[str, Target]:
     """Targets by name; files go into the folder."""
+
+    def of_file(samples: list[bytes], name: str, read: Callable[[Path], object]) -> Target:
+        path = folder / name
+        return samples, lambda data: (path.write_bytes(data), read(path))
+
     return {
         **{f"message {schema} {encoding}": _message(schema, encoding) for schema, encoding in MESSAGES},
         "live message": ([encoded()], decode),
         "tracks in JSON": ([encode_tracks(_frame(3))], decode_tracks),
         "image file": (_image_files(), decode_image),
-        "settings": ([dump(RunConfig()).encode()], _file(folder / "s.toml", lambda path: load(path, {}))),
-        "calibration": (_calibrations(), _file(folder / "c.yaml", read_calibration)),
-        "weights": (
-            [_weights()],
-            _file(folder / "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
-        ),
-        "log": (_logs(folder), _file(folder / "l.mcap", _read_log)),
-        "tracks in MCAP": (_tracks(folder, "t.mcap"), _file(folder / "d.mcap", _read_tracks)),
-        "tracks in Parquet": (_tracks(folder, "t.parquet"), _file(folder / "d.parquet", _read_tracks)),
-        "journal": (_tracks(folder, "t.parquet", journal=True), _file(folder / "d.parquet.unfinished", _read_tracks)),
+        "settings": of_file([dump(RunConfig()).encode()], "s.toml", lambda path: load(path, {})),
+        "calibration": of_file(_calibrations(), "c.yaml", read_calibration),
+        "weights": of_file([_weights()], "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
+        "log": of_file(_logs(folder), "l.mcap", _read_log),
+        "tracks in MCAP": of_file(_tracks(folder / "t.mcap"), "d.mcap", _read_tracks),
+        "tracks in Parquet": of_file(_tracks(folder / "t.parquet"), "d.parquet", _read_tracks),
+        "journal": of_file(_journal(folder / "j.parquet"), "d.parquet.unfinished", _read_tracks),
     }
-
-
-def _file(path: Path, read: Callable[[Path], object]) -> Callable[[bytes], None]:
-    def from_file(data: bytes) -> None:
-        path.write_bytes(data)
-        read(path)
-
-    return from_file
 
 
 def _message(schema: str, encoding: str) -> Target:
@@ -114,16 +109,23 @@ def _read_log(path: Path) -> None:
                 pass
 
 
-def _tracks(folder: Path, name: str, journal: bool = False) -> list[bytes]:
-    kinds = {"t.mcap": McapTrackSink, "t.parquet": ParquetTrackSink, "t.csv": CsvTrackSink}
-    sink = kinds[name](folder / name, overwrite=True)
-    for number in range(4):
-        sink.write(result_of(_frame(number, 3 * (number % 2))))
-    if journal:
+def _tracks(path: Path) -> list[bytes]:
+    """The file with four frames, every second one without tracks."""
+    write_tracks(McapTrackSink(path) if path.suffix == ".mcap" else ParquetTrackSink(path), _results())
+    return [path.read_bytes()]
+
+
+def _journal(path: Path) -> list[bytes]:
+    """What a run that was killed leaves."""
+    with closing(ParquetTrackSink(path)) as sink:
+        for result in _results():
+            sink.write(result)
         sink.flush()
-        data = (folder / f"{name}.unfinished").read_bytes()
-    sink.close()
-    return [data if journal else (folder / name).read_bytes()]
+        return [path.with_name(f"{path.name}.unfinished").read_bytes()]
+
+
+def _results() -> list[FrameResult]:
+    return [result_of(_frame(number, 3 * (number % 2))) for number in range(4)]
 
 
 def _read_tracks(path: Path) -> None:

@@ -34,11 +34,10 @@ def key_of(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def needed(requirements: list[str], extra: str = "", found: dict[str, Distribution] | None = None) -> Distributions:
+def needed(requirements: list[str], extra: str = "", found: Distributions | None = None) -> Distributions:
     """The distributions that requirements stand for and all that those need, as they are installed here, by name."""
     found = {} if found is None else found
-    for text in requirements:
-        requirement = Requirement(text)
+    for requirement in map(Requirement, requirements):
         key = key_of(requirement.name)
         if key in found or (requirement.marker is not None and not requirement.marker.evaluate({"extra": extra})):
             continue
@@ -54,14 +53,11 @@ def needed(requirements: list[str], extra: str = "", found: dict[str, Distributi
 def licence_of(installed: Distribution) -> str:
     """What a distribution says of its licence, in few words; empty where it says nothing."""
     metadata = installed.metadata
-    expression = metadata.get("License-Expression")
-    if expression:
-        return " ".join(expression.split())
-    prefix = "License :: "
-    classifiers = [text for text in metadata.get_all("Classifier") or [] if text.startswith(prefix)]
-    names = [text.split(" :: ")[-1] for text in classifiers if text != "License :: OSI Approved"]
+    classifiers = metadata.get_all("Classifier") or []
+    names = [text.split(" :: ")[-1] for text in classifiers if re.match("License :: (?!OSI Approved$)", text)]
     stated = (metadata.get("License") or "").strip().splitlines()
-    return ", ".join(names) or (stated[0][:60] if stated else "")
+    expression = " ".join((metadata.get("License-Expression") or "").split())
+    return expression or ", ".join(names) or (stated[0][:60] if stated else "")
 
 
 def is_fine(key: str, licence: str) -> bool:
@@ -87,10 +83,9 @@ def main() -> int:
     for name, version, licence, extra in rows():
         print(f"| {name} | {version} | {licence} | {f'`[{extra}]`' if extra else ''} |")
         if not is_fine(key_of(name), licence):
-            bad.append(f"{name}: {licence or 'states no licence'}")
-    for line in bad:
-        print(f"look at {line}", file=sys.stderr)
-    return 1 if bad else 0
+            bad.append(name)
+            print(f"look at {name}: {licence or 'states no licence'}", file=sys.stderr)
+    return min(len(bad), 1)
 
 
 if __name__ == "__main__":

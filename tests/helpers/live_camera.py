@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import cache
 
 import cv2
 import numpy as np
@@ -16,13 +17,12 @@ from frontend import Frame, Source
 PERIOD_S = 0.005
 
 
+@cache
 def pictures(count: int) -> list[NDArray[np.uint8]]:
     """A bright rectangle that moves."""
-    images = []
-    for number in range(count):
-        image = np.full((120, 160), 60, np.uint8)
+    images = [np.full((120, 160), 60, np.uint8) for _ in range(count)]
+    for number, image in enumerate(images):
         cv2.rectangle(image, (20 + number % 40, 30), (90 + number % 40, 90), 200, -1)
-        images.append(image)
     return images
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
 from typing import Any
@@ -13,7 +14,7 @@ from airline.lines import LineSet
 from airline.scenes import RenderedClip
 from airline.trace import Trace
 from frontend import CameraModel, Frame, LineFrontend
-from frontend.protocols import FrameResult
+from frontend.protocols import FrameResult, Sink
 from frontend.sources.scene import SceneSource
 from frontend.tracks import FIELDS, LineTracks
 
@@ -39,6 +40,13 @@ def result_of(tracks: LineTracks) -> FrameResult:
     )
     image = np.full(shape, tracks.frame_index % 251, np.uint8)
     return FrameResult(Frame(tracks.frame_index, tracks.stamp_ns, image, tracks.camera), trace, tracks, {})
+
+
+def write_tracks(sink: Sink, results: Iterable[FrameResult]) -> None:
+    """Give results to a sink, and close it."""
+    for result in results:
+        sink.write(result)
+    sink.close()
 
 
 def blank_tracks(count: int, *, frame_index: int = 0, stamp_ns: int = 0, **given: Any) -> LineTracks:
@@ -97,12 +105,8 @@ def streams(draw: st.DrawFn) -> list[LineTracks]:
             length=draw(st.sampled_from([6, 6, 6, 1])),
         )
         odd = draw(st.lists(st.floats(width=32, allow_infinity=False), max_size=len(tracks)))
-        for values in (
-            tracks.covariances[:, 0, 0],
-            tracks.scores,
-            tracks.segments_px[:, 1, 0],
-            tracks.descriptors[:, 0],
-        ):
+        places = (tracks.covariances[:, 0, 0], tracks.scores, tracks.segments_px[:, 1, 0], tracks.descriptors[:, 0])
+        for values in places:
             values[: len(odd)] = odd
         frames.append(tracks)
         index += draw(st.integers(1, 1000))
@@ -112,16 +116,17 @@ def streams(draw: st.DrawFn) -> list[LineTracks]:
 
 def assert_same(found: LineTracks, expected: LineTracks) -> None:
     """Every field is the same: type, shape, and every number."""
-    for field in fields(LineTracks):
+    for field in fields(expected):
         a, b = getattr(found, field.name), getattr(expected, field.name)
+        assert type(a) is type(b), field.name
         if isinstance(b, np.ndarray):
-            assert (a.dtype, a.shape) == (b.dtype, b.shape), field.name
-            np.testing.assert_array_equal(a, b, err_msg=field.name)
-        elif field.name == "camera" and b is not None:
-            for part in fields(CameraModel):
-                np.testing.assert_array_equal(getattr(a, part.name), getattr(b, part.name), err_msg=part.name)
+            assert a.dtype == b.dtype, field.name
+            np.testing.assert_array_equal(a, b, field.name, strict=True)
+        elif isinstance(b, CameraModel):
+            for part in fields(b):
+                np.testing.assert_array_equal(getattr(a, part.name), getattr(b, part.name), part.name)
         else:
-            assert (type(a), a) == (type(b), b), field.name
+            assert a == b, field.name
 
 
 def assert_all_same(found: list[LineTracks], expected: list[LineTracks]) -> None:

@@ -76,9 +76,8 @@ def write_chunks(path: Path, chunks: Sequence[Sequence[Sent]], **options: Any) -
         writer = start(file, chunk_size=1 << 40, **options)
         for chunk in chunks:
             add(writer, chunk)
-            begin = file.tell()
+            places.append(file.tell())
             writer.flush()
-            places.append(begin)
         writer.finish()
     data = path.read_bytes()
     return [(begin, begin + 9 + struct.unpack_from("<Q", data, begin + 1)[0]) for begin in places]
@@ -112,16 +111,11 @@ def chunk_bytes(stored: bytes, size: int, compression: str) -> bytes:
 
 def on_topic(sent: Iterable[Sent], topic: str) -> list[tuple[int, int, str, bytes]]:
     """What reading a topic must yield: log time, publish time, schema, data; by time, then as written."""
-    kept = [message for message in sent if CHANNELS[message.channel][0] == topic]
-    return [
-        (message.log_ns, message.publish_ns, CHANNELS[message.channel][2], message.data)
-        for message in sorted(kept, key=lambda message: message.log_ns)
-    ]
+    kept = sorted((one for one in sent if CHANNELS[one.channel][0] == topic), key=lambda one: one.log_ns)
+    return [(one.log_ns, one.publish_ns, CHANNELS[one.channel][2], one.data) for one in kept]
 
 
 def read(log: LogFile, topic: str, start_ns: int | None = None) -> list[tuple[int, int, str, bytes]]:
     """The same of an opened log."""
-    return [
-        (message.log_ns, message.publish_ns, message.type.schema_name, bytes(message.data))
-        for message in log.messages(topic, start_ns)
-    ]
+    found = log.messages(topic, start_ns)
+    return [(one.log_ns, one.publish_ns, one.type.schema_name, bytes(one.data)) for one in found]

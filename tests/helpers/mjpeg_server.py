@@ -16,19 +16,14 @@ PERIOD_S = 0.03
 
 
 class MjpegServer(ThreadingHTTPServer):
-    """Sends pictures of a moving rectangle.
-
-    Attributes:
-        frames: per connection, before it drops; None for no end.
-        refused: connections that are still to be refused.
-        stalled: whether it sends nothing while connections stay open.
-        connections: so far, refused ones included.
-    """
+    """Sends pictures of a moving rectangle."""
 
     daemon_threads = True
-    frames: int | None = None
-    refused = connections = 0
-    stalled = ended = False
+    frames: int | None = None  # per connection, before it drops; None for no end
+    refused = 0  # connections that are still to be refused
+    connections = 0  # so far, refused ones included
+    stalled = False  # sends nothing while connections stay open
+    ended = False
 
     @property
     def url(self) -> str:

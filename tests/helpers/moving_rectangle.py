@@ -30,19 +30,17 @@ def rectangle(frame: int) -> np.ndarray:
 
 def trace_of(segments: np.ndarray) -> Trace:
     """The trace of perfectly detected axis-parallel segments."""
-    edges = np.zeros((HEIGHT, WIDTH), np.uint8)
-    horizontal = np.zeros((HEIGHT, WIDTH), np.uint8)
+    edges, horizontal = np.zeros((2, HEIGHT, WIDTH), np.uint8)
     for start, end in np.rint(segments).astype(int).tolist():
         cv2.line(edges, start, end, 255)
         if start[1] == end[1]:
             cv2.line(horizontal, start, end, 1)
     y, x = np.nonzero(edges)
-    descriptors = np.zeros((len(x), 6), np.float32)
-    descriptors[np.arange(len(x)), np.where(horizontal[y, x], 0, 3)] = 1
+    six = np.eye(6, dtype=np.float32)
+    descriptors = six[np.where(horizontal[y, x], 0, 3)]
     pixels = np.stack([x, y], axis=1).astype(np.int32)
-    lines = LineSet(
-        segments, np.ones(len(segments), np.float32), np.eye(6, dtype=np.float32)[[0, 3, 0, 3]][: len(segments)]
-    )
+    n = len(segments)
+    lines = LineSet(segments, np.ones(n, np.float32), six[[0, 3, 0, 3][:n]])
     labels = np.zeros(len(x), np.int32)
     return Trace(edges / np.float32(255), pixels, pixels.astype(np.float32), descriptors, labels, lines, {})
 

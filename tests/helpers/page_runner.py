@@ -34,33 +34,27 @@ class Backend:
     """The reader's SLAM system: takes what the pages hand to it."""
 
     def add_lines(self, stamp_ns: int, ids: np.ndarray, segments: np.ndarray | None, *more: np.ndarray) -> None:
-        """Lines of a frame."""
         assert segments is None or segments.shape == (len(ids), 2, 2)
         assert all(len(array) == len(ids) for array in more)
 
     def add_track(self, stamps_ns: np.ndarray, segments: np.ndarray) -> None:
-        """A line over time."""
         assert segments.shape == (len(stamps_ns), 2, 2)
 
     def forget_lines(self, ids: np.ndarray) -> None:
-        """Lines that will not be seen again."""
         assert ids.dtype == np.int64
 
 
-def names(page: str) -> dict[str, Any]:
+def names() -> dict[str, Any]:
     """What a page's Python blocks take as given."""
     import cv2
+    import torch
 
     from frontend import CameraModel
 
     images = [cv2.imread(f"images/img{k}.png") for k in range(4)]
-    camera = CameraModel(160, 120, 115.0, 115.0, 79.5, 59.5)
-    given = {"backend": Backend(), "image": images[0], "images": images, "camera": camera, "__name__": "__main__"}
-    if "my_torch_net" in page:
-        import torch
-
-        given["my_torch_net"] = torch.nn.Conv2d(1, 1, 3, padding=1)
-    return given
+    camera, net = CameraModel(160, 120, 115.0, 115.0, 79.5, 59.5), torch.nn.Conv2d(1, 1, 3, padding=1)
+    given = {"backend": Backend(), "image": images[0], "images": images, "camera": camera, "my_torch_net": net}
+    return {**given, "__name__": "__main__"}
 
 
 def run_command(command: str) -> str | None:
@@ -93,9 +87,7 @@ def run_python(text: str, given: dict[str, Any]) -> str | None:
         return run_command("python block.py")
     address = re.search(r"subscribe_tracks\(\"(\S+?)\"", text)
     if address:
-        from tests.helpers.made_tracks import clip_results
-
-        threading.Thread(target=publish, args=(address[1], clip_results()[:3]), daemon=True).start()
+        threading.Thread(target=publish, args=address.groups(), daemon=True).start()
     try:
         with redirect_stdout(io.StringIO()):
             exec(compile(text, "block", "exec"), given)
@@ -104,24 +96,18 @@ def run_python(text: str, given: dict[str, Any]) -> str | None:
     return None
 
 
-def publish(address: str, results: list[Any]) -> None:
+def publish(address: str) -> None:
     """A run at the other end of the live stream."""
     from logs.sinks.open import open_publisher
+    from tests.helpers.made_tracks import clip_results, write_tracks
 
-    publisher = open_publisher(address, "clip")
-    for result in results:
-        publisher.write(result)
-    publisher.close()
+    write_tracks(open_publisher(address, "clip"), clip_results()[:3])
 
 
 def run_page(page: str) -> list[str]:
-    """Run all blocks of a page; what went wrong.
-
-    Raises:
-        PageError: a marker without sense, or a block in a language that the checks do not know.
-    """
+    """Run all blocks of a page; what went wrong."""
     failures: list[str] = []
-    given = names(page) if "```python" in page else {}
+    given = names() if "```python" in page else {}
     for port in ("5555", "8765"):
         page = page.replace(f":{port}", f":{free_port()}")
     page = page.replace("ipc:///tmp/lines", f"ipc://{Path('lines').absolute()}")

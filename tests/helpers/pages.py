@@ -33,14 +33,7 @@ class PageError(ValueError):
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block.
-
-    Attributes:
-        language: behind the fence.
-        number: of its first line in the page.
-        text: what is in it.
-        markers: the lines right above it.
-    """
+    """A fenced block, the number of its first line in the page, and the markers right above it."""
 
     language: str
     number: int
@@ -48,11 +41,7 @@ class Block:
     markers: tuple[re.Match[str], ...] = ()
 
     def commands(self) -> list[tuple[int, str]]:
-        """Numbers and texts of the lines to run, as the markers change them; of Python, all of it or nothing.
-
-        Raises:
-            PageError: a marker that no line has to do with.
-        """
+        """Numbers and texts of the lines to run, as the markers change them; of Python, all of it or nothing."""
         lines = [(self.number, self.text)]
         if self.language != "python":
             rows = enumerate(self.text.splitlines(), self.number)
@@ -67,11 +56,7 @@ class Block:
 
 
 def blocks_of(page: str) -> list[Block]:
-    """All fenced blocks of a page.
-
-    Raises:
-        PageError: a marker that cannot be understood or is above no block, or a fence that does not end.
-    """
+    """All fenced blocks of a page; PageError where a marker means nothing, or a fence does not end."""
     blocks: list[Block] = []
     for found in _BLOCK.finditer(page):
         markers = [_MARKER.fullmatch(line) for line in found[1].splitlines()]

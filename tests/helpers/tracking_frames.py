@@ -17,9 +17,8 @@ def line_set(segments: np.ndarray) -> LineSet:
     delta = segments[:, 1] - segments[:, 0]
     angles = np.arctan2(delta[:, 1], delta[:, 0])[:, None] - np.arange(6) * np.pi / 6
     descriptors = np.cos(2 * angles).astype(np.float32)
-    return LineSet(
-        segments, np.ones(len(segments), np.float32), descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)
-    )
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    return LineSet(segments, np.ones(len(segments), np.float32), descriptors)
 
 
 def texture(seed: int = 0, size: tuple[int, int] = (200, 160)) -> np.ndarray:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,15 +51,14 @@ def names_of_views(path: Path) -> set[str]:
     """The titles in a recording's layouts."""
     from rerun.chunk import RrdReader
 
-    column = "ViewBlueprint:display_name"
-    return {
-        name
+    batches = (
+        chunk.to_record_batch()
         for blueprint in RrdReader(path).blueprints()
         for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
-        if column in (batch := chunk.to_record_batch()).schema.names
-        for row in batch.column(column).to_pylist()
-        for name in row
-    }
+    )
+    column = "ViewBlueprint:display_name"
+    rows = (batch.column(column).to_pylist() for batch in batches if column in batch.schema.names)
+    return {name for columns in rows for row in columns for name in row}
 
 
 def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -76,14 +75,11 @@ def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProc
 
 def viewers(port: int) -> list[int]:
     """Process ids of viewers at a port."""
-    needle = f"--port\0{port}\0".encode()
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if needle in (folder / "cmdline").read_bytes() + b"\0":
+        with suppress(OSError):  # it ended meanwhile
+            if f"--port\0{port}\0".encode() in (folder / "cmdline").read_bytes() + b"\0":
                 found.append(int(folder.name))
-        except OSError:  # it ended meanwhile
-            continue
     return found
 
 

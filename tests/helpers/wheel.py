@@ -46,15 +46,11 @@ def faults_of_sources(path: Path) -> list[str]:
 
 def main() -> int:
     """Check the one wheel and the one source archive of a folder; returns 1 where something is wrong."""
-    folder = Path(sys.argv[1])
-    (wheel,), (sources,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
-    faults = [f"{wheel.name}: {fault}" for fault in faults_of_wheel(wheel)]
-    faults += [f"{sources.name}: {fault}" for fault in faults_of_sources(sources)]
-    print(
-        "\n".join(faults)
-        or f"{wheel.name}: {wheel.stat().st_size} bytes, {sources.name}: {sources.stat().st_size} bytes"
-    )
-    return 1 if faults else 0
+    (made,), (sources,) = (list(Path(sys.argv[1]).glob(kind)) for kind in ("*.whl", "*.tar.gz"))
+    faults = {made: faults_of_wheel(made), sources: faults_of_sources(sources)}
+    for path, found in faults.items():
+        print(f"{path.name}: {path.stat().st_size} bytes", *found, sep="\n  ")
+    return int(any(faults.values()))
 
 
 if __name__ == "__main__":

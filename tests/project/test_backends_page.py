@@ -15,7 +15,7 @@ import pytest
 from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
 from logs.tracks.message import ARRAYS, encode
 from tests.helpers.command import ROOT
-from tests.helpers.made_tracks import clip_results
+from tests.helpers.made_tracks import clip_results, write_tracks
 from tests.logs.test_plvins import read
 
 PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
@@ -41,24 +41,19 @@ def node(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> None:
-    sink = PlVinsTrackSink(tmp_path / "plvins.mcap")
-    for result in clip_results():
-        sink.write(result)
-    sink.close()
+    write_tracks(PlVinsTrackSink(tmp_path / "plvins.mcap"), clip_results())
     lines = PlVinsLines()
     expected = [cloud for *_, cloud in read(tmp_path / "plvins.mcap")]
     assert f'"{TOPIC}"' in NODE.read_text(encoding="utf-8")
     assert sum(len(cloud.points) for cloud in expected) > 500
     for result, cloud in zip(clip_results(), expected, strict=True):
         found = node["cloud_of"](result.tracks, lines)
-        assert (found.header.stamp.sec, found.header.stamp.nanosec) == (
-            cloud.header.stamp.secs,
-            cloud.header.stamp.nsecs,
-        )
+        stamp = cloud.header.stamp
+        assert (found.header.stamp.sec, found.header.stamp.nanosec) == (stamp.secs, stamp.nsecs)
         assert found.header.frame_id == cloud.header.frame_id
         assert [(p.x, p.y, p.z) for p in found.points] == [(p.x, p.y, p.z) for p in cloud.points]
-        assert [one.name for one in found.channels] == [one.name for one in cloud.channels]
-        assert [list(one.values) for one in found.channels] == [list(one.values) for one in cloud.channels]
+        channels = [[(one.name, list(one.values)) for one in each.channels] for each in (found, cloud)]
+        assert channels[0] == channels[1]
 
 
 def test_the_markers_are_the_confirmed_lines(node: dict[str, Any]) -> None:

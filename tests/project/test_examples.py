@@ -17,8 +17,7 @@ from safetensors.torch import save_file
 from airline.network.weights import load_unet
 from airline.scenes import RenderedClip
 from logs import read_tracks
-from tests.helpers.camera_logs import EPOCH_NS, STEP_NS, Channel, Logged, write_log
-from tests.helpers.camera_messages import cdr
+from tests.helpers.batch_logs import camera_log
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("[0-9]*.py"))
 
@@ -31,6 +30,13 @@ def example(stem: str, folder: Path, *arguments: object) -> subprocess.Completed
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 
+def said(*arguments: object) -> str:
+    """What an example prints that runs to its end."""
+    done = example(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def number_after(words: str, text: str) -> int:
     """The whole number that follows some words."""
     return int(re.search(rf"{words}\D*(\d+)", text).group(1))
@@ -38,17 +44,14 @@ def number_after(words: str, text: str) -> int:
 
 @pytest.mark.parametrize("stem", [path.stem for path in EXAMPLES])
 def test_runs(stem, tmp_path):
-    done = example(stem, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) > 5
+    assert len(said(stem, tmp_path).splitlines()) > 5
 
 
 def test_dark_frames_draw_what_they_report(tmp_path):
     frame = RenderedClip(seed=3, effects=None).render(0).image
     cv2.imwrite(str(tmp_path / "frame.png"), frame)
-    done = example("03_dark_frames", tmp_path, "frame.png", "--out", "picture.png")
-    assert done.returncode == 0, done.stderr
-    counts = [int(line.split(": ")[1].split()[0]) for line in done.stdout.splitlines()[:3]]
+    printed = said("03_dark_frames", tmp_path, "frame.png", "--out", "picture.png")
+    counts = [int(line.split(": ")[1].split()[0]) for line in printed.splitlines()[:3]]
     picture = cv2.imread(str(tmp_path / "picture.png")).astype(int)
     assert picture.shape == (300, 1600, 3)
     coloured = (np.ptp(picture, axis=2) > 40).reshape(300, 4, 400).sum(axis=(0, 2))
@@ -60,35 +63,27 @@ def test_dark_frames_draw_what_they_report(tmp_path):
 @pytest.fixture
 def log(clip, tmp_path):
     """The clip in a log as ROS 2 writes it."""
-    messages = []
-    for number, path in enumerate(sorted(clip.iterdir())):
-        stamp_ns = EPOCH_NS + number * STEP_NS
-        data = cdr("CompressedImage", stamp_ns=stamp_ns, format="png", data=np.fromfile(path, np.uint8))
-        messages.append(Logged(stamp_ns, data))
-    return write_log(tmp_path / "drive.mcap", {"/cam": Channel("sensor_msgs/msg/CompressedImage", "cdr", messages)})
+    return camera_log(tmp_path / "drive.mcap", clip)
 
 
 def test_tracks_of_a_log_read_back_as_they_were_counted(log, tmp_path):
-    done = example("04_mcap_log_to_tracks", tmp_path, log)
-    assert done.returncode == 0, done.stderr
+    printed = said("04_mcap_log_to_tracks", tmp_path, log)
     for name in ("drive_tracks.parquet", "drive_tracks.mcap"):
         frames = list(read_tracks(tmp_path / name))
-        assert number_after("frames:", done.stdout) == len(frames) == 8
-        assert number_after("tracks:", done.stdout) == len(np.unique(np.concatenate([t.ids for t in frames]))) > 10
-        assert number_after("observations:", done.stdout) == sum(map(len, frames))
+        assert number_after("frames:", printed) == len(frames) == 8
+        assert number_after("tracks:", printed) == len(np.unique(np.concatenate([t.ids for t in frames]))) > 10
+        assert number_after("observations:", printed) == sum(map(len, frames))
 
-    seen = example("07_tracks_from_parquet", tmp_path, "drive_tracks.parquet")
-    assert seen.returncode == 0, seen.stderr
-    assert number_after("8 frames,", seen.stdout) == number_after("observations:", done.stdout)
-    counts = map(int, re.findall(r"frames: +(\d+) tracks", seen.stdout))
-    assert sum(counts) == number_after("tracks:", done.stdout)
+    seen = said("07_tracks_from_parquet", tmp_path, "drive_tracks.parquet")
+    assert number_after("8 frames,", seen) == number_after("observations:", printed)
+    assert sum(map(int, re.findall(r"frames: +(\d+) tracks", seen))) == number_after("tracks:", printed)
     refused = example("07_tracks_from_parquet", tmp_path, "drive_tracks.mcap")
     assert (refused.returncode, len(refused.stderr.splitlines())) == (1, 1)
 
     again = example("04_mcap_log_to_tracks", tmp_path, log)
     assert again.returncode == 1
     assert "give --overwrite" in again.stderr
-    assert example("04_mcap_log_to_tracks", tmp_path, log, "--overwrite").stdout == done.stdout
+    assert said("04_mcap_log_to_tracks", tmp_path, log, "--overwrite") == printed
 
 
 def test_edge_detectors_draw_what_they_report(clip, tmp_path):
@@ -98,21 +93,18 @@ def test_edge_detectors_draw_what_they_report(clip, tmp_path):
     untrained = {name: tensor.half() for name, tensor in DexiNed(pretrained=False).state_dict().items()}
     save_file(untrained, tmp_path / "dexined.safetensors")
     arguments = ("--dexined", "dexined.safetensors", "--out", "picture.png", clip / "0.png")
-    done = example("05_another_edge_detector", tmp_path, *arguments)
+    printed = said("05_another_edge_detector", tmp_path, *arguments)
     (tmp_path / "dexined.safetensors").unlink()  # 70 MB
-    assert done.returncode == 0, done.stderr
     picture = cv2.imread(str(tmp_path / "picture.png")).astype(int)
     assert picture.shape == (240, 640, 3)
     coloured = (np.ptp(picture[120:], axis=2) > 100).reshape(120, 4, 160).sum(axis=(0, 2))
-    counts = np.array([number_after(f"{name}:", done.stdout) for name in ("default", "Canny", "Sobel", "DexiNed")])
+    counts = np.array([number_after(f"{name}:", printed) for name in ("default", "Canny", "Sobel", "DexiNed")])
     assert (counts[:3] > 10).all()
     assert (coloured >= 8 * counts).all(), "the shortest lines have 8 px"
 
 
 def test_training_on_ones_own_photographs(clip, tmp_path):
-    done = example("06_train_on_your_photographs", tmp_path, "--steps", 2, clip)
-    assert done.returncode == 0, done.stderr
-    assert "poor weights" in done.stdout
+    assert "poor weights" in said("06_train_on_your_photographs", tmp_path, "--steps", 2, clip)
     load_unet(tmp_path / "trial.safetensors")
     assert list((tmp_path / "trial-samples").iterdir())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
 import logging
 import time
 from pathlib import Path
@@ -14,16 +13,14 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from frontend.colours import CYCLE, hsv_to_rgb, track_colours
-from frontend.soak import resident_mb
-from tests.helpers.command import command, recorded
+from frontend.colours import CYCLE, track_colours
+from tests.helpers.command import command, recorded, refusal
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
 
-TASKS = Path("/proc/self/task")
 STAGES = {f"/camera/{name}" for name in ("edges", "orientation", "regions", "segments")}
 
 
@@ -79,22 +76,15 @@ def test_video_with_a_header_that_rerun_cannot_read_is_mended(tmp_path):
 
 @pytest.mark.parametrize(
     ("spec", "says"),
-    [
-        ("missing.mp4", "needs a video file"),
-        ("text.mp4", "no video that Rerun can play"),
-        ("old.avi", "mpeg4"),
-    ],
+    [("missing.mp4", "needs a video file"), ("text.mp4", "no video that Rerun can play"), ("old.avi", "mpeg4")],
 )
 def test_videos_that_cannot_be_shown_are_refused(tmp_path, spec, says):
-    if spec == "text.mp4":
-        (tmp_path / spec).write_text("no video")
-    if spec == "old.avi":
-        old = cv2.VideoWriter(str(tmp_path / spec), cv2.VideoWriter.fourcc(*"MP4V"), 30, (64, 48))
-        old.write(np.zeros((48, 64, 3), np.uint8))
-        old.release()
-    with pytest.raises(ConfigError, match=says) as refusal:
+    (tmp_path / "text.mp4").write_text("no video")
+    old = cv2.VideoWriter(str(tmp_path / "old.avi"), cv2.VideoWriter.fourcc(*"MP4V"), 30, (64, 48))
+    old.write(np.zeros((48, 64, 3), np.uint8))
+    old.release()
+    with pytest.raises(ConfigError, match=f"{says}.*use --log-image jpeg"):
         RerunSink(save=tmp_path / "run.rrd", image="video", video=tmp_path / spec)
-    assert "use --log-image jpeg" in str(refusal.value)
 
 
 def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
@@ -106,9 +96,8 @@ def test_video_cannot_stand_for_frames_of_another_size(tmp_path):
 @pytest.mark.parametrize("flags", [["--resize", "160"], ["--undistort"]])
 def test_video_and_changed_frames_exclude_each_other(tmp_path, flags):
     path = write_video(tmp_path / "clip.mp4")
-    outcome = command(path, "--log-image", "video", "--save", tmp_path / "run.rrd", *flags)
-    assert outcome.code == 2
-    assert "leave --resize and --undistort out" in outcome.err
+    error = refusal(path, "--log-image", "video", "--save", tmp_path / "run.rrd", *flags)
+    assert "leave --resize and --undistort out" in error
     assert not (tmp_path / "run.rrd").exists()
 
 
@@ -123,25 +112,21 @@ def test_every_fourth_frame_and_all_resets(tmp_path):
 def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
     """Ids 0 and 1 are confirmed, 2 and 3 tentative, 1 and 3 pieces of another line; 7 is lost."""
     result = list(frame_results(5))[-1]
-    tracks = dataclasses.replace(
-        result.tracks,
-        fragment_of=np.array([-1, 0, -1, 0]),
-        lost_ids=np.array([7]),
-        lost_segments_px=rectangle(9)[:1],
-    )
+    more = {"lost_ids": np.array([7]), "lost_segments_px": rectangle(9)[:1]}
+    tracks = dataclasses.replace(result.tracks, fragment_of=np.array([-1, 0, -1, 0]), **more)
     rows = record(tmp_path / "run.rrd", [dataclasses.replace(result, tracks=tracks)])
     seen, lost = rows["/camera/tracks"], rows["/camera/tracks/lost"]
-    whole, piece, young, young_piece = (
-        np.array(c) for c in np.array(seen["LineStrips2D:colors"][0], ">u4").view("u1").reshape(4, 4)[:, :3].astype(int)
-    )
+
+    def colours(columns: dict[str, list]) -> np.ndarray:
+        return np.array(columns["LineStrips2D:colors"][0], ">u4").view("u1").reshape(-1, 4)[:, :3].astype(int)
+
+    whole, piece, young, young_piece = colours(seen)
     radii = np.abs(seen["LineStrips2D:radii"][0])
     assert radii[0] == radii[1] > radii[2] == radii[3] > np.abs(lost["LineStrips2D:radii"][0][0])
     assert whole.max() == young.max() == 255
-    assert piece.max() < 160
-    assert young_piece.max() < 160
+    assert max(piece.max(), young_piece.max()) < 160
     assert young.min() > whole.min() + 50, "tentative lines are paler"
-    (grey,) = np.array(lost["LineStrips2D:colors"][0], ">u4").view("u1").reshape(1, 4)[:, :3].astype(int)
-    assert np.ptp(grey) < 60
+    assert np.ptp(colours(lost)) < 60, "lost ones are grey"
     assert lost["track_id"] == [[7]]
     np.testing.assert_array_equal(np.float32(lost["LineStrips2D:strips"][0]), rectangle(9)[:1] + np.float32(0.5))
     assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[1.0]]
@@ -152,9 +137,8 @@ def test_tails_end_at_the_lines_and_lead_where_they_were(tmp_path):
     assert [len(row) for row in tails] == [0, 0] + [2] * (FRAMES - 2)  # two lines are confirmed from the third frame on
     middles = np.array([rectangle(k).mean(axis=1) + 0.5 for k in range(FRAMES)])
     for k in range(2, FRAMES):
-        for line in (0, 1):
-            np.testing.assert_allclose(tails[k][line][-1], middles[k, line], atol=1e-4)
-            np.testing.assert_allclose(tails[k][line][0], middles[0, line], atol=1e-4)
+        ends = [(tail[0], tail[-1]) for tail in tails[k]]
+        np.testing.assert_allclose(ends, np.stack([middles[0, :2], middles[k, :2]], axis=1), atol=1e-4)
 
 
 def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
@@ -164,13 +148,6 @@ def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
     ids = np.array([0, 1, 77, CYCLE - 1])
     for track, (red, green, blue) in zip(ids.tolist(), track_colours(ids).tolist(), strict=True):
         assert colours[1 + track] == red << 24 | green << 16 | blue << 8 | 255
-
-
-def test_colours_come_round_without_a_visible_seam():
-    seam = np.arange(CYCLE - 5, CYCLE + 5)
-    hues, saturations = seam * (np.sqrt(5) - 1) / 2 % 1, np.repeat([0.8, 0.9], 5)
-    unbroken = hsv_to_rgb(hues, saturations, np.ones(10)).astype(int)
-    assert np.abs(track_colours(seam) - unbroken).max() <= 2
 
 
 def test_poses_and_lines_in_space(tmp_path):
@@ -246,19 +223,6 @@ def test_recordings_of_the_clip_keep_to_their_size(tmp_path):
         assert (tmp_path / f"{mode}.rrd").stat().st_size < limit * len(results)
 
 
-@pytest.mark.skipif(not TASKS.exists(), reason="the system does not list threads")
-def test_closed_recordings_leave_no_threads(tmp_path):
-    """Rerun keeps four for each, and some megabytes, unless it is told otherwise; a batch makes many."""
-    threads, memory_mb = [], []
-    for _ in range(10):
-        record(tmp_path / "run.rrd", frame_results(4))
-        gc.collect()
-        threads.append(len(list(TASKS.iterdir())))
-        memory_mb.append(resident_mb())
-    assert max(threads[5:]) <= threads[1] + 4
-    assert memory_mb[-1] - memory_mb[4] < 40
-
-
 def test_settings_reach_the_recording(clip, tmp_path):
     path = tmp_path / "run.rrd"
     flags = ("--log-image", "none", "--log-every", 2, "--log-descriptor-every", 0, "--blueprint", "minimal")
@@ -276,4 +240,3 @@ def test_settings_reach_the_recording(clip, tmp_path):
             sizes[name, quality] = len(blob)
     assert sizes["image", 95] > 3 * sizes["image", 10]
     assert sizes["edges", 95] > 2 * sizes["edges", 10]
-    assert command(clip, "--save", path, "--jpeg-quality", 0).code == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,56 +44,52 @@ def sides(frame: int) -> np.ndarray:
 
 @pytest.mark.parametrize("frame", [0, 8])
 def test_lines_have_the_colours_of_the_recording(recording, frame):
-    picture = drawn(recording, frame)
+    picture = drawn(recording, frame).astype(int)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     tracks = list(frame_results(FRAMES))[frame].tracks
     for middle, colour in zip(sides(frame), track_colours(tracks.ids, tracks.confirmed)[:, ::-1], strict=True):
         x, y = np.rint(middle).astype(int)
-        near = picture[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3).astype(int)
-        assert np.abs(near - colour).max(axis=1).min() < 40
-    inside = np.rint(sides(frame).mean(axis=0)).astype(int)
-    assert np.abs(picture[inside[1], inside[0]].astype(int) - 150).max() < 8  # the image itself
+        assert np.abs(picture[y - 1 : y + 2, x - 1 : x + 2] - colour).max(axis=2).min() < 40
+    x, y = np.rint(sides(frame).mean(axis=0)).astype(int)
+    assert np.abs(picture[y, x] - 150).max() < 8  # the image itself
 
 
-def across(picture: np.ndarray, track: int, frame: int) -> np.ndarray:
-    """How far the picture differs from its plain surroundings, along a column through a horizontal side."""
-    x, y = np.rint(sides(frame)[track]).astype(int)
-    column = picture[y - 6 : y + 7, x].astype(float)
-    return np.abs(column - BACKGROUND).sum(axis=1)
+@contextmanager
+def stream_into(path: Path) -> Iterator[rr.RecordingStream]:
+    """A recording that somebody else writes."""
+    stream = rr.RecordingStream("test")
+    stream.save(path)
+    yield stream
+    stream.flush()
+    stream.disconnect()
 
 
 def lines_alone(path: Path, **camera: float) -> Path:
     """A recording with tracks and without images."""
-    stream = rr.RecordingStream("test")
-    stream.save(path)
-    if camera:
-        stream.log("/camera", rr.Pinhole(focal_length=300, **camera), static=True)
-    for k, result in enumerate(frame_results(FRAMES)):
-        stream.set_time("frame", sequence=k)
-        log_tracks(stream, result.tracks)
-    stream.flush()
-    stream.disconnect()
+    with stream_into(path) as stream:
+        if camera:
+            stream.log("/camera", rr.Pinhole(focal_length=300, **camera), static=True)
+        for k, result in enumerate(frame_results(FRAMES)):
+            stream.set_time("frame", sequence=k)
+            log_tracks(stream, result.tracks)
     return path
 
 
 def test_lines_are_drawn_between_pixels_and_confirmed_ones_wider(tmp_path):
-    frame = 8
-    picture = drawn(lines_alone(tmp_path / "lines.rrd", width=WIDTH, height=HEIGHT), frame)
+    picture = drawn(lines_alone(tmp_path / "lines.rrd", width=WIDTH, height=HEIGHT), 8)
     assert picture.shape == (HEIGHT, WIDTH, 3)
-    widths = {}
-    for track in (0, 2):  # the confirmed upper side and the tentative lower one
-        profile = across(picture, track, frame)
-        place = np.rint(sides(frame)[track][1]) - 6 + np.average(np.arange(13), weights=profile)
-        assert place == pytest.approx(sides(frame)[track][1], abs=0.15)
-        widths[track] = (profile > 0.5 * profile.max()).sum()
-    assert widths[0] > widths[2]
+    widths = []
+    for side in sides(8)[[0, 2]]:  # the confirmed upper side and the tentative lower one
+        x, y = np.rint(side).astype(int)
+        profile = np.abs(picture[y - 6 : y + 7, x].astype(float) - BACKGROUND).sum(axis=1)
+        assert y - 6 + np.average(np.arange(13), weights=profile) == pytest.approx(side[1], abs=0.15)
+        widths.append((profile > 0.5 * profile.max()).sum())
+    assert widths[0] > widths[1]
 
 
 def test_background_is_as_large_as_the_lines_need_without_a_camera(tmp_path):
     picture = drawn(lines_alone(tmp_path / "lines.rrd"), 8)
-    width, height = rectangle(8).reshape(-1, 2).max(axis=0)
-    assert picture.shape[1] == pytest.approx(width, abs=2)
-    assert picture.shape[0] == pytest.approx(height, abs=2)
+    assert picture.shape[1::-1] == pytest.approx(rectangle(8).reshape(-1, 2).max(axis=0), abs=2)
     assert (picture.reshape(-1, 3) == BACKGROUND).all(axis=1).mean() > 0.9
 
 
@@ -107,16 +105,20 @@ def test_images_in_every_form(tmp_path, mode, shape):
         assert np.abs(image.astype(int) - expected.max()).max() < 6
 
 
-def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
-    assert save_film(recording, tmp_path / "film.mp4") == FRAMES
-    film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(1e9 / STEP_NS, rel=1e-3)
+def film_of(path: Path) -> tuple[list[np.ndarray], float]:
+    """Frames, and how many of them in a second."""
+    film = cv2.VideoCapture(str(path))
     frames = []
     while (read := film.read())[0]:
         frames.append(read[1])
-    film.release()
+    return frames, film.get(cv2.CAP_PROP_FPS)
+
+
+def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
+    assert save_film(recording, tmp_path / "film.mp4") == FRAMES
+    frames, rate = film_of(tmp_path / "film.mp4")
+    assert rate == pytest.approx(1e9 / STEP_NS, rel=1e-3)
     assert len(frames) == FRAMES
-    assert frames[8].shape == (HEIGHT, WIDTH, 3)
     assert np.abs(frames[8].astype(int) - drawn(recording, 8)).mean() < 4
     assert save_film(recording, tmp_path / "part.mp4", start=3, end=5) == 3
     with pytest.raises(InputError, match="choose frames from 0 to 9"):
@@ -125,9 +127,8 @@ def test_film_has_the_frames_and_the_rate_of_the_recording(recording, tmp_path):
 
 def test_odd_sizes_make_a_film_too(tmp_path):
     write_film(tmp_path / "odd.mp4", [np.full((31, 45, 3), 80, np.uint8)] * 2, 12.5)
-    film = cv2.VideoCapture(str(tmp_path / "odd.mp4"))
-    assert film.read()[1].shape == (32, 46, 3)
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
+    (first, _), rate = film_of(tmp_path / "odd.mp4")
+    assert (first.shape, rate) == ((32, 46, 3), pytest.approx(12.5))
 
 
 def test_command_line_without_a_graphics_driver(recording, tmp_path):
@@ -175,19 +176,13 @@ def test_what_the_viewer_cannot_show_is_said(recording, tmp_path, name, frame, e
 
 
 def test_recordings_of_others_and_damaged_ones(tmp_path):
-    stream = rr.RecordingStream("test")
-    stream.save(tmp_path / "other.rrd")
-    stream.set_time("frame", sequence=0)
-    stream.log("/points", rr.Points2D([[1, 2]]))
-    stream.flush()
-    stream.disconnect()
-    with pytest.raises(InputError, match="has no tracks"):
-        Recording(tmp_path / "other.rrd")
+    with stream_into(tmp_path / "other.rrd") as stream:
+        stream.set_time("frame", sequence=0)
+        stream.log("/points", rr.Points2D([[1, 2]]))
     (tmp_path / "bad.rrd").write_bytes(b"no recording" * 100)
-    with pytest.raises(InputError, match="damaged or none"):
-        Recording(tmp_path / "bad.rrd")
-    with pytest.raises(InputError, match="there is no recording"):
-        Recording(tmp_path / "none.rrd")
+    for name, says in (("other", "has no tracks"), ("bad", "damaged or none"), ("none", "there is no recording")):
+        with pytest.raises(InputError, match=says):
+            Recording(tmp_path / f"{name}.rrd")
 
 
 @needs_viewer

@@ -1,28 +1,32 @@
-"""Viewers that are absent, stuck or killed: one warning, a complete file, no delay; and what a killed run leaves."""
+"""Rerun's viewer: its window; absent, stuck or killed it costs one warning; and what a killed run leaves."""
 
 from __future__ import annotations
 
 import logging
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-import warnings
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from airline.errors import ConfigError, InputError
-from tests.helpers.command import ROOT, command, python, recorded
+from tests.helpers.batch_logs import long_folder
+from tests.helpers.command import ROOT, command, python, recorded, refusal
 from tests.helpers.ports import free_port, listening
 from tests.helpers.viewer import FRAMES, RERUN, record, saving_viewer, serving, viewers
 from viz.rerun_sink import RerunSink
+from viz.viewer import open_viewer, start, stop
 
 needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
 
@@ -30,45 +34,34 @@ needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs ar
 @pytest.fixture
 def long_clip(clip: Path, tmp_path: Path) -> Path:
     """The clip, over and over, for several seconds."""
-    folder = tmp_path / "long"
-    folder.mkdir()
-    pictures = [path.read_bytes() for path in sorted(clip.glob("*.png"))]
-    for number in range(320):
-        (folder / f"{number}.png").write_bytes(pictures[number % len(pictures)])
-    return folder
+    return long_folder(tmp_path / "long", clip, 320)
 
 
 @contextmanager
 def mute_port() -> Iterator[int]:
     """A port that takes connections and never reads."""
-    held = []
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def accept() -> None:
-            while True:
-                try:
-                    held.append(listener.accept()[0])
-                except OSError:
-                    return
-
-        threading.Thread(target=accept, daemon=True).start()
+    with socket.create_server(("127.0.0.1", 0)) as listener:  # the kernel takes them
         yield listener.getsockname()[1]
-        listener.shutdown(socket.SHUT_RDWR)
-    for connection in held:
-        connection.close()
 
 
 def frames_in(path: Path) -> list[int]:
     return recorded(path)["/camera/tracks"]["frame"]
 
 
+def warnings_in(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [said.getMessage() for said in caplog.records if said.levelno >= logging.WARNING]
+
+
+def wait_for_bytes(path: Path, run: subprocess.Popen[str], size: int) -> None:
+    while not path.exists() or path.stat().st_size < size:
+        assert run.poll() is None
+        time.sleep(0.02)
+
+
 def test_nobody_there_costs_one_warning(tmp_path, caplog):
-    begin = time.monotonic()
-    with caplog.at_level(logging.WARNING):
-        rows = record(tmp_path / "run.rrd", connect=f"127.0.0.1:{free_port()}")
-    assert time.monotonic() - begin < 5
-    (warning,) = caplog.records
-    assert "going on without it" in warning.getMessage()
+    rows = record(tmp_path / "run.rrd", connect=f"127.0.0.1:{free_port()}")
+    (warning,) = warnings_in(caplog)
+    assert "going on without it" in warning
     assert rows["/camera/tracks"]["frame"] == list(range(FRAMES))
     assert "no Rerun viewer answers" in rows["/log"]["TextLog:text"][0][0]
 
@@ -77,11 +70,11 @@ def test_nobody_there_costs_one_warning(tmp_path, caplog):
 def test_a_port_that_never_reads_costs_one_warning_and_few_seconds(tmp_path, caplog, options):
     """Much data waits in a flush; little leaves this process at once, and Rerun's goodbye waits."""
     begin = time.monotonic()
-    with caplog.at_level(logging.WARNING), mute_port() as port:
+    with mute_port() as port:
         rows = record(tmp_path / "run.rrd", connect=f"127.0.0.1:{port}", **options)
     assert time.monotonic() - begin < 12
-    (warning,) = caplog.records
-    assert "takes no data" in warning.getMessage()
+    (warning,) = warnings_in(caplog)
+    assert "takes no data" in warning
     assert rows["/camera/tracks"]["frame"] == list(range(0, FRAMES, options.get("every", 1)))
 
 
@@ -120,9 +113,7 @@ def test_a_viewer_that_fails_in_the_middle(long_clip, tmp_path, sign):
         serving(port, "--serve-grpc") as viewer,
         python(long_clip, "--save", path, "--connect", f"127.0.0.1:{port}", stdout=-1, stderr=-1) as run,
     ):
-        while not path.exists() or path.stat().st_size < 200_000:
-            assert run.poll() is None
-            time.sleep(0.02)
+        wait_for_bytes(path, run, 200_000)
         os.killpg(viewer.pid, sign)
         out, err = run.communicate(timeout=120)
     assert run.returncode == 0
@@ -135,13 +126,11 @@ def test_a_viewer_that_fails_in_the_middle(long_clip, tmp_path, sign):
 @needs_rerun
 def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
     port, received = free_port(), tmp_path / "received.rrd"
-    with saving_viewer(port, received), caplog.at_level(logging.WARNING):
+    with saving_viewer(port, received):
         done = command(clip, "--save", tmp_path / "run.rrd", "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
     assert done.code == 0
-    assert not caplog.records
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the viewer was killed: its file has no footer
-        there, here = recorded(received), recorded(tmp_path / "run.rrd")
+    assert warnings_in(caplog) == []
+    there, here = recorded(received), recorded(tmp_path / "run.rrd")
     for path in ("/camera/tracks", "/camera/image", "/stats/counts/lines"):
         assert there[path]["frame"] == here[path]["frame"]
     assert there["/camera/tracks"]["LineStrips2D:strips"] == here["/camera/tracks"]["LineStrips2D:strips"]
@@ -151,16 +140,13 @@ def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
 def test_serving_is_for_this_machine_alone_and_goes_on_until_it_is_interrupted(clip, tmp_path):
     path = tmp_path / "run.rrd"
     with python(clip, "--serve", "--save", path, stdout=-1, stderr=-1) as run:
-        lines = []
-        for line in run.stdout:
-            lines.append(line)
-            if line.startswith("serving at"):
-                break
-        ports = [int(re.search(r"127\.0\.0\.1:(\d+)", line)[1]) for line in lines[:2]]  # for browsers, and viewers
+        said = ""
+        while "serving at" not in said:
+            said += run.stdout.readline()
+        ports = [int(port) for port in re.findall(r"127\.0\.0\.1:(\d+)", said)[:2]]  # for browsers, and viewers
         assert [listening(port) for port in ports] == [{"0100007F"}] * 2
-        with socket.create_connection(("127.0.0.1", ports[0])) as browser:
-            browser.sendall(b"GET / HTTP/1.0\r\n\r\n")
-            assert b"200 OK" in browser.recv(100)
+        with urllib.request.urlopen(f"http://127.0.0.1:{ports[0]}") as answer:
+            assert answer.status == 200
         assert viewers(ports[1])
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
@@ -177,21 +163,15 @@ def test_serving_is_for_this_machine_alone_and_goes_on_until_it_is_interrupted(c
 def test_a_killed_run_leaves_all_but_the_last_second_and_can_be_mended(long_clip, tmp_path):
     path, mended = tmp_path / "run.rrd", tmp_path / "mended.rrd"
     with python(long_clip, "--save", path, stdout=-1, stderr=-1) as run:
-        while not path.exists() or path.stat().st_size < 400_000:
-            assert run.poll() is None
-            time.sleep(0.02)
+        wait_for_bytes(path, run, 400_000)
         time.sleep(2)
-        before = path.stat().st_size
         os.kill(run.pid, signal.SIGKILL)
-    assert before > 400_000
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "no footer": that is what is mended
-        left = recorded(path)
-    ends = {entity: rows["frame"][-1] for entity, rows in left.items() if "frame" in rows}
-    assert left["/camera/tracks"]["frame"] == list(range(ends["/camera/tracks"] + 1))
+    frames = frames_in(path)
+    assert frames == list(range(len(frames)))
+    assert path.stat().st_size > 400_000
     subprocess.run([RERUN, "rrd", "optimize", path, "-o", mended], check=True, capture_output=True)
     assert subprocess.run([RERUN, "rrd", "verify", mended], capture_output=True).returncode == 0
-    assert frames_in(mended) == left["/camera/tracks"]["frame"]
+    assert frames_in(mended) == frames
 
 
 def test_unusable_targets_are_refused_before_any_work(tmp_path):
@@ -207,6 +187,59 @@ def test_unusable_targets_are_refused_before_any_work(tmp_path):
 
 
 def test_viewers_exclude_each_other(clip):
-    outcome = command(clip, "--serve", "--connect", "127.0.0.1:9876")
-    assert outcome.code == 2
-    assert "not allowed with" in outcome.err
+    assert "not allowed with" in refusal(clip, "--serve", "--connect", "127.0.0.1:9876")
+
+
+def test_a_dead_display_opens_nothing_and_saves_a_file_instead(monkeypatch, clip, tmp_path, caplog):
+    monkeypatch.setenv("DISPLAY", ":4077")  # a screen that is not there
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    port = free_port()
+    monkeypatch.setattr("viz.viewer.open_viewer", partial(open_viewer, port))
+    assert command(clip, "--max-frames", "2").code == 0
+    assert viewers(port) == []
+    assert "no viewer window could be opened: saving room.rrd instead" in caplog.text
+    assert (tmp_path / "room.rrd").stat().st_size > 1000
+
+
+@pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs a virtual screen (Debian: xvfb)")
+def test_a_window_opens_and_is_used_again(monkeypatch):
+    number = 90 + os.getpid() % 900
+    screen = subprocess.Popen(["Xvfb", f":{number}", "-screen", "0", "1024x768x24"], stderr=subprocess.DEVNULL)
+    monkeypatch.setenv("DISPLAY", f":{number}")
+    port = free_port()
+    try:
+        deadline = time.monotonic() + 10
+        while not Path(f"/tmp/.X11-unix/X{number}").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert open_viewer(port) == f"127.0.0.1:{port}"
+        assert listening(port) == {"0100007F"}, "other machines must not reach the viewer"
+        running = viewers(port)
+        assert len(running) >= 1
+        assert open_viewer(port) == f"127.0.0.1:{port}"
+        assert viewers(port) == running, "the open window is used, no second one comes"
+    finally:
+        for process in viewers(port):
+            os.kill(process, signal.SIGKILL)
+        screen.terminate()
+        screen.wait()
+
+
+def test_the_viewer_reports_to_nobody():
+    viewer = start(free_port(), "--headless", output=subprocess.PIPE, RUST_LOG="re_analytics=debug")
+    if viewer is None:
+        pytest.skip("Rerun's viewer is not installed beside this Python")
+    with viewer:
+        watchdog = threading.Timer(30, stop, [viewer])
+        watchdog.start()
+        try:
+            said = next((line for line in viewer.stdout if b"nalytics" in line), b"nothing")
+        finally:
+            watchdog.cancel()
+            stop(viewer)
+    assert b"Analytics disabled" in said
+
+
+def test_without_the_viewer_program_nothing_opens(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    assert open_viewer(free_port()) is None
