@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import signal
 import subprocess
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.batch_logs import camera_log, long_folder, report_of, unfinished_pid, visible
-from tests.helpers.command import python, read_screen
+from tests.helpers.command import python
 
 LONG_FRAMES = 250
 
@@ -94,16 +93,3 @@ def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp
     rows = report_of(out)
     assert {name: row["status"] for name, row in rows.items()} == {"a": "skipped", "b": "done", "c": "done"}
     assert rows["b"]["frames"] == LONG_FRAMES
-
-
-def test_progress_bar_shows_in_a_terminal(tmp_path: Path) -> None:
-    broken = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
-    for path in broken:
-        path.write_bytes(b"")
-    control, terminal = pty.openpty()
-    child = start(broken, tmp_path / "out", stdout=subprocess.DEVNULL, stderr=terminal)
-    os.close(terminal)
-    screen = read_screen(control)
-    assert child.wait() == 1
-    assert "2/2" in screen
-    assert "recordings/s" in screen

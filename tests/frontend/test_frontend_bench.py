@@ -12,7 +12,6 @@ import pytest
 from frontend import bench
 from frontend.bench import ClipSource, load_clips, main
 from frontend.cli.settings import RunConfig
-from tests.helpers.command import command
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, [0] * 7), (2, [0, 1] * 3 + [0]), (4, [0, 1, 2, 3, 2, 1, 0])])
@@ -51,21 +50,3 @@ def test_figures(
     shown = capsys.readouterr().out
     assert "160x120" in shown
     assert f"{figures['fps']:.1f}" in shown
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--frames", "1"], "--frames"),
-        (["--size", "640"], "'640' is no size"),
-        (["--size", "4x4"], "'4x4' is no size"),
-        (["nowhere.mp4"], "nowhere.mp4"),
-        (["--json", "no/such/folder.json"], "no folder no/such"),
-    ],
-)
-def test_what_cannot_be_used_is_said_in_a_sentence(arguments: list[str], message: str) -> None:
-    outcome = command(*arguments, main=main)
-    assert outcome.code == 2
-    assert outcome.err.startswith("error: ")
-    assert message in outcome.err
-    assert outcome.err.count("\n") == 1

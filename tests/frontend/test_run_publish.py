@@ -25,8 +25,6 @@ from tests.helpers.command import ROOT, command, python
 from tests.helpers.foxglove_client import FoxgloveClient
 from tests.helpers.made_tracks import assert_all_same
 
-TIMES = ("stream", "sent_ns", "read_ns")
-
 
 @contextmanager
 def run(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
@@ -68,20 +66,6 @@ def test_consumers_get_what_the_file_holds(clip: Path, tmp_path: Path) -> None:
         assert subscription.lost == 0
         assert subscription.latest is not None
         assert subscription.latest.name == "room"
-
-
-def test_serial_and_pipelined_runs_send_the_same(clip: Path) -> None:
-    found = []
-    for flags in ([], ["--serial"]):
-        with run(clip, "--publish", "tcp://127.0.0.1:0", *flags) as (_, (address,)):
-            messages = raw_messages(address)
-        times = [[message.pop(key, 0) for key in TIMES] for message in messages]
-        assert len({stream for stream, *_ in times}) == 1
-        for _, sent_ns, read_ns in times[:-1]:
-            assert 0 < sent_ns - read_ns < 60e9
-        found.append(messages)
-    assert len(found[0]) == 9
-    assert found[0] == found[1]
 
 
 def test_interrupt_tells_consumers_that_it_was_all(clip: Path, tmp_path: Path) -> None:

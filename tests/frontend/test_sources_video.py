@@ -25,7 +25,6 @@ from frontend.sources.live import LiveSource
 from frontend.sources.video import VideoSource
 
 ROOT = Path(__file__).parents[2]
-DATA = ROOT.parent / "shared" / "data"
 COUNT, FPS, PERIOD_NS = 60, 25, 40_000_000
 KINDS = {"mjpg.avi": "MJPG", "mpeg4.mp4": "mp4v", "mpeg4.avi": "mp4v", "mjpg.mkv": "MJPG"}
 
@@ -160,14 +159,6 @@ def test_varying_rate(tmp_path: Path, suffix: str) -> None:
         assert stamps(later) == [tick * PERIOD_NS for tick in ticks if tick * 0.04 >= start_s]
 
 
-@pytest.mark.parametrize("content", [b"", b"a", b"hello world\n" * 50, bytes(5000), b"time,x\n1,2\n"])
-def test_no_video(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "file.mp4"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"file\.mp4"):
-        VideoSource(path)
-
-
 def test_ffmpeg_says_nothing(videos: Path, tmp_path: Path) -> None:
     (tmp_path / "empty.mp4").write_bytes(b"")
     data = (videos / "mpeg4.mp4").read_bytes()
@@ -191,14 +182,6 @@ for path in sys.argv[1:]:
     assert 0 < int(counts[2]) <= COUNT
     chatter = [line for line in done.stderr.splitlines() if "skipped" not in line]
     assert chatter == []
-
-
-@given(content=st.binary(max_size=3000))
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_bytes_are_no_video(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "noise.avi").write_bytes(content)
-    with pytest.raises(InputError):
-        VideoSource(tmp_path / "noise.avi")
 
 
 def test_missing_file_folder_and_impossible_names(tmp_path: Path) -> None:
@@ -235,14 +218,12 @@ def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypat
 
 
 def test_no_such_camera_or_stream_fails_fast() -> None:
-    begin = time.monotonic()
     for spec in ("99", "9" * 30, "http://127.0.0.1:9/x.mp4", "nonsense://x", "http://\udcff"):
         with pytest.raises(InputError, match="cannot open"):
             open_source(spec)
     with pytest.raises(InputError) as caught:
         open_source("rtsp://user:secret@127.0.0.1:9/x")
     assert "secret" not in str(caught.value)
-    assert time.monotonic() - begin < 5
 
 
 @pytest.mark.parametrize("name", ["mjpg.avi", "mpeg4.mp4"])

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.scenes import RenderedClip
-from frontend.evaluation.moved import MovedPhoto, moved_lines, moved_photos, smooth_homographies
-from frontend.evaluation.rendered import RADIUS, SceneClip, cut_by_discs, occlude, occluder_discs, rendered_clips
+from frontend.evaluation.moved import MovedPhoto, moved_photos, smooth_homographies
+from frontend.evaluation.rendered import RADIUS, SceneClip, occlude, occluder_discs, rendered_clips
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.scene import frame_of
@@ -64,11 +64,6 @@ def same(a: tuple[Frame, Truth], b: tuple[Frame, Truth]) -> bool:
         and np.array_equal(a[1].ids, b[1].ids)
         and (a[0].index, a[0].stamp_ns) == (b[0].index, b[0].stamp_ns)
     )
-
-
-def test_the_rendered_clips_are_those_named() -> None:
-    assert list(CLIPS) == [clip.name for clip in rendered_clips()] == NAMES
-    assert all(len(clip) == (60 if name == "static" else 120) for name, clip in CLIPS.items())
 
 
 @pytest.mark.parametrize("name", ["handheld", "exposure", "occlusion"])
@@ -135,14 +130,6 @@ def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
     assert not hidden_at(truth.segments_px.mean(axis=1), 16).any()
 
 
-def test_cut_by_discs_leaves_both_ends() -> None:
-    segments = np.array([[[0, 0], [100, 0]], [[0, 30], [100, 30]], [[45, 0], [55, 0]]], np.float32)
-    pieces, rows = cut_by_discs(segments, np.array([[45.0, 0.0], [55.0, 0.0]]), 20.0)
-    assert rows.tolist() == [0, 0, 1]
-    np.testing.assert_allclose(pieces, [[[0, 0], [25, 0]], [[75, 0], [100, 0]], [[0, 30], [100, 30]]], atol=1e-4)
-    assert cut_by_discs(segments[:0], np.array([[45.0, 0.0]]), 20.0)[0].shape == (0, 2, 2)
-
-
 # Moved photographs. The "photograph" is a rendered street: it is in the repository, and it has lines.
 
 
@@ -199,13 +186,6 @@ def test_true_lines_of_a_photograph_are_steps_of_every_frame(photo: MovedPhoto) 
         assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.9
         ids.append(truth.ids)
     assert len(np.intersect1d(ids[0], ids[-1])) > 20
-
-
-def test_moved_lines_are_clipped_to_the_view() -> None:
-    lines = np.array([[[-50, 20], [150, 20]], [[10, -30], [10, 5]], [[300, 300], [400, 400]], [[5, 5], [60, 60]]])
-    truth = moved_lines(lines.astype(np.float32), np.eye(3), (100, 80))
-    assert truth.ids.tolist() == [0, 3]
-    np.testing.assert_allclose(truth.segments_px, [[[0, 20], [99, 20]], [[5, 5], [60, 60]]], atol=1e-5)
 
 
 def test_folders_without_photographs_are_refused(tmp_path: Path) -> None:

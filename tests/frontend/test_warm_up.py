@@ -6,12 +6,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from airline.kernels.threads import cores
-from frontend import warm_up
 
 TRACK = """
 import numpy as np
@@ -59,10 +57,3 @@ def test_what_the_process_beside_compiles_is_what_is_needed(tmp_path: Path) -> N
         [sys.executable, "-c", TRACK], env=environment, check=True, timeout=300, capture_output=True, text=True
     )
     assert said.stdout == "0\n"
-
-
-def test_where_no_process_starts_everything_is_compiled_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    monkeypatch.setattr(warm_up, "_votes", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
-    warm_up.compile_ahead()
-    assert warm_up._helper is None
