@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from airline import AirLine
 from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel, Distortion
 from frontend.camera.undistort import WIDEST_DEG, Undistorter, undistorted_camera
@@ -71,6 +72,25 @@ def test_straight_lines_become_straight(lens: str) -> None:
     before, after = bend(image, *source.project(ends).astype(float)), bend(straight, *new.project(ends).astype(float))
     assert before > 1.5
     assert after < 0.05
+
+
+@pytest.mark.parametrize("lens", ["EuRoC", "fisheye"])
+def test_detected_lines_are_straight_where_they_were_bent(lens: str) -> None:
+    source = camera(lens)
+    inside = 0.3 - np.abs(plane_of(source)).max(axis=-1)  # a square whose sides are at -0.3 and 0.3
+    image = (155 - 75 * np.tanh(inside * source.fx)).astype(np.uint8)
+    errors = []
+    for frame in (Frame(0, 0, image, source), Frame(0, 0, (remap := Undistorter(source))(image), remap.camera)):
+        segments = AirLine()(frame.image).segments
+        long = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) > 25]
+        assert len(long) >= 4
+        share = np.linspace(0, 1, 21)[:, None]
+        points = long[:, None, 0] + share * (long[:, None, 1] - long[:, None, 0])
+        off = np.abs(np.abs(frame.camera.normalize(points.astype(np.float64))) - 0.3).max(axis=1).min(axis=-1)
+        errors.append(np.median(off) * source.fx)
+    bent, straight = errors
+    print(bent, straight)
+    assert straight < 0.3
 
 
 @pytest.mark.parametrize("lens", LENSES)

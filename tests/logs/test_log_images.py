@@ -140,16 +140,6 @@ def test_raw_images_that_contradict_themselves(
     assert len(str(caught.value)) < 200
 
 
-def test_one_pixel_of_each_bayer_colour() -> None:
-    """A red, a green and a blue surface come out red, green and blue, whatever the pattern."""
-    for pattern in BAYER_PATTERNS:
-        for channel in range(3):
-            surface = np.zeros((8, 8, 3), np.uint8)
-            surface[:, :, channel] = 200
-            raw = RawImage(0, "", 8, 8, f"bayer_{pattern}8", 0, False, mosaic(surface, pattern).tobytes())
-            np.testing.assert_array_equal(decode_pixels(raw), surface)
-
-
 size = st.one_of(st.integers(-2, 12), st.integers(-(2**40), 2**40))
 
 

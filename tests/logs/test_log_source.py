@@ -19,7 +19,6 @@ from tests.helpers.camera_logs import EPOCH_NS, STEP_NS, Channel, Logged, drawn,
 from tests.helpers.camera_messages import ROS2, K, cdr, info_fields
 from tests.logs.test_log_video import FORMATS, GROUP, stream
 
-DATA = Path(__file__).parents[3] / "shared" / "data"
 COUNT = 12
 
 
@@ -90,15 +89,6 @@ def test_no_camera(tmp_path: Path) -> None:
         McapImageSource(write_log(tmp_path / "c.mcap", {}))
 
 
-@pytest.mark.parametrize("name", ["chatter_my_bag_0.mcap", "nav2_turtlebot.mcap"])
-def test_real_logs_without_camera(name: str) -> None:
-    path = DATA / "mcap_without_camera" / name
-    if not path.exists():
-        pytest.skip("the log is not on this machine")
-    with pytest.raises(InputError, match="no image topic; it holds "):
-        McapImageSource(path)
-
-
 def test_undecodable_messages_are_counted_by_reason(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     times = [EPOCH_NS + number for number in range(8)]
     good = [raw(number, time) for number, time in enumerate(times)]
@@ -139,23 +129,6 @@ def test_seek(tmp_path: Path, start_s: float, late_ns: int) -> None:
     assert [frame.index for frame in frames] == wanted
     for frame in frames:
         np.testing.assert_array_equal(frame.image, drawn(frame.index))
-
-
-def test_seek_reads_only_what_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write_log(tmp_path / "a.mcap", {"/camera": images(200)})
-    source = McapImageSource(path)
-    source.seek(19.0)
-    asked: list[int | None] = []
-    messages = source._file.messages
-
-    def counted(topic: str, start_ns: int | None = None):  # type: ignore[no-untyped-def]
-        for message in messages(topic, start_ns):
-            asked.append(message.log_ns)
-            yield message
-
-    monkeypatch.setattr(source._file, "messages", counted)
-    assert len(list(source)) == 10
-    assert len(asked) < 40
 
 
 def test_seek_where_the_clocks_run_apart(tmp_path: Path) -> None:
