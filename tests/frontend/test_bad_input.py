@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.command import EVERY_FRAME, command, recorded
+from tests.helpers.videos import write_video
 
 FRAMES = 8
 EARLIER = b"an earlier recording"
@@ -38,15 +39,6 @@ def refuse(*arguments: object) -> str:
     assert len(sentence) < 500
     assert {path: path.read_bytes() for path in Path.cwd().rglob("*") if path.is_file()} == before
     return sentence.removeprefix("error: ")
-
-
-def write_video(path: Path, clip: Path, codec: str) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, (160, 120))
-    assert writer.isOpened()
-    for number in range(3 * FRAMES):
-        writer.write(cv2.imread(str(clip / f"{number % FRAMES}.png")))
-    writer.release()
-    return path
 
 
 @pytest.mark.parametrize("name", ["missing.mp4", "missing", "missing/*.png", "missing.mcap", "missing.png", "", "98"])
@@ -146,7 +138,9 @@ def skipped(clip: Path) -> int:
 
 
 def test_video_cut_in_the_middle(desk: Path, clip: Path, caplog: pytest.LogCaptureFixture) -> None:
-    data = write_video(desk / "cut.avi", clip, "MJPG").read_bytes()
+    data = write_video(
+        desk / "cut.avi", [cv2.imread(str(clip / f"{k % 8}.png")) for k in range(3 * FRAMES)]
+    ).read_bytes()
     (desk / "cut.avi").write_bytes(data[: len(data) // 2])
     lost = skipped(Path("cut.avi"))
     assert lost == pytest.approx(1.5 * FRAMES, abs=2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airline import AirLine, CannyEdges, InputError
 from airline.image import Gray
 from airline.scenes import RenderedClip
-from frontend import Frame, LineFrontend, Source
+from frontend import Frame, LineFrontend
 from frontend.cli.settings import load
 from frontend.protocols import FrameResult
 from frontend.run import process
@@ -27,6 +27,7 @@ from frontend.tracks import LineTracks
 from tests.helpers.command import command
 from tests.helpers.live_camera import PERIOD_S, Camera, pictures
 from tests.helpers.made_tracks import assert_all_same
+from tests.helpers.sources import Listed
 
 
 @pytest.fixture(autouse=True)
@@ -42,23 +43,6 @@ def no_thread_stays() -> Iterator[None]:
 @cache
 def rendered() -> RenderedClip:
     return RenderedClip(kind="indoor", motion="handheld", seed=12, frames=12, size=(320, 240))
-
-
-class Mine(Source):
-    """A source as users write it: a name and frames, and here what happens when it is read and closed."""
-
-    def __init__(self, frames: list[Frame], read: Callable[[Frame], object] = lambda frame: None) -> None:
-        self.name = "mine"
-        self.closed = 0
-        self._frames, self._read = frames, read
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self._frames:
-            self._read(frame)
-            yield frame
-
-    def close(self) -> None:
-        self.closed += 1
 
 
 def drawn(count: int) -> list[Frame]:
@@ -105,7 +89,7 @@ def test_streams_a_path(tmp_path: Path) -> None:
 
 
 def test_closes_the_source_when_the_user_stops_early() -> None:
-    source = Mine(drawn(12))
+    source = Listed(drawn(12))
     for _ in canny_frontend().stream(source):
         break
     assert source.closed
@@ -113,7 +97,7 @@ def test_closes_the_source_when_the_user_stops_early() -> None:
 
 @pytest.mark.parametrize("size", [(320, 240), (321, 243)])
 def test_results_are_those_of_the_serial_run_bit_by_bit(size: tuple[int, int]) -> None:
-    source = Mine(list(SceneSource(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=25, size=size))))
+    source = Listed(list(SceneSource(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=25, size=size))))
     detector = AirLine()
     one_by_one = [frontend.process(frame) for frontend in [LineFrontend(detector)] for frame in source]
     serial = list(LineFrontend(detector).results(source, serial=True))
@@ -141,7 +125,7 @@ def test_a_fault_of_a_stage_comes_behind_the_frames_before_it() -> None:
                 raise ZeroDivisionError("in the sixth frame")
             return super().detect(gray)
 
-    source = Mine(drawn(12))
+    source = Listed(drawn(12))
     found: list[LineTracks] = []
     with pytest.raises(ZeroDivisionError, match="sixth") as caught:
         found.extend(LineFrontend(AirLine(edges=Broken())).stream(source))
@@ -200,7 +184,7 @@ def test_a_sink_that_cannot_be_opened_closes_those_before_it() -> None:
         yield first
         raise InputError("the second one exists")
 
-    source = Mine(drawn(3))
+    source = Listed(drawn(3))
     with pytest.raises(InputError, match="second"):
         process(source, load(None, {"preset": "paper"}), sinks())
     assert (first.frames, first.closed, source.closed) == ([], 1, 1)

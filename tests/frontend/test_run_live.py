@@ -12,15 +12,16 @@ import time
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 
 from airline.errors import InputError
 from frontend.cli.settings import RunConfig
 from frontend.frame import Frame
-from frontend.protocols import Source
 from frontend.run import process
 from tests.helpers.command import EVERY_FRAME, python, read_screen, recorded
+from tests.helpers.live_camera import pictures
+from tests.helpers.sources import Listed
+from tests.helpers.videos import write_video
 from viz.rerun_sink import RerunSink
 
 CLIP_FRAMES = 8
@@ -49,14 +50,8 @@ def test_progress_bar_shows_in_a_terminal(clip: Path, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("video") / "long.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (160, 120))
-    for number in range(VIDEO_FRAMES):
-        image = np.full((120, 160, 3), 60, np.uint8)
-        cv2.rectangle(image, (20 + number % 40, 30), (90 + number % 40, 90), (200, 180, 160), -1)
-        writer.write(image)
-    writer.release()
-    return path
+    images = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in pictures(40)] * (VIDEO_FRAMES // 40)
+    return write_video(tmp_path_factory.mktemp("video") / "long.avi", images)
 
 
 def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> None:
@@ -81,19 +76,9 @@ def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> 
         assert rows[path]["frame"] in (list(range(frames)), list(range(frames + 1)))
 
 
-class FailingSource(Source):
+def failing(folder: Path, error: BaseException) -> Listed:
     """The clip, until something happens before its fourth frame."""
-
-    name = "failing"
-
-    def __init__(self, folder: Path, error: BaseException) -> None:
-        self._folder, self._error = folder, error
-
-    def __iter__(self):
-        for number in range(3):
-            image = cv2.imread(str(self._folder / f"{number}.png"))
-            yield Frame(number, number * PERIOD_NS, image)
-        raise self._error
+    return Listed([Frame(k, k * PERIOD_NS, cv2.imread(str(folder / f"{k}.png"))) for k in range(3)], error=error)
 
 
 @pytest.mark.parametrize(("error", "code"), [(InputError("the cable is out"), 2), (KeyboardInterrupt(), 130)])
@@ -101,7 +86,7 @@ def test_what_was_written_before_the_end_is_readable(
     clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
 ) -> None:
     save = tmp_path / "run.rrd"
-    done, summary = process(FailingSource(clip, error), RunConfig(), [RerunSink(save=save)])
+    done, summary = process(failing(clip, error), RunConfig(), [RerunSink(save=save)])
     assert (done, summary.frames) == (code, 3)
     assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
     assert capsys.readouterr().err == ("error: the cable is out\n" if code == 2 else "")
@@ -110,7 +95,7 @@ def test_what_was_written_before_the_end_is_readable(
 def test_a_fault_of_ours_is_not_hidden_and_loses_nothing(clip: Path, tmp_path: Path) -> None:
     save = tmp_path / "run.rrd"
     with pytest.raises(ZeroDivisionError):
-        process(FailingSource(clip, ZeroDivisionError()), RunConfig(), [RerunSink(save=save)])
+        process(failing(clip, ZeroDivisionError()), RunConfig(), [RerunSink(save=save)])
     assert recorded(save)["/camera/tracks"]["frame"] == [0, 1, 2]
 
 
@@ -128,6 +113,6 @@ def test_opening_the_sinks_does_not_count_as_speed(clip: Path) -> None:
         def close(self) -> None:
             time.sleep(1)
 
-    _, summary = process(FailingSource(clip, KeyboardInterrupt()), RunConfig(), (Slow() for _ in range(1)))
+    _, summary = process(failing(clip, KeyboardInterrupt()), RunConfig(), (Slow() for _ in range(1)))
     assert len(written) == 3
     assert summary.fps > len(written)

@@ -13,7 +13,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -24,6 +23,7 @@ from logs import read_tracks, subscribe_tracks
 from tests.helpers.command import ROOT, command, python
 from tests.helpers.foxglove_client import FoxgloveClient
 from tests.helpers.made_tracks import assert_all_same
+from tests.helpers.videos import write_video
 
 
 @contextmanager
@@ -69,11 +69,7 @@ def test_consumers_get_what_the_file_holds(clip: Path, tmp_path: Path) -> None:
 
 
 def test_interrupt_tells_consumers_that_it_was_all(clip: Path, tmp_path: Path) -> None:
-    path = tmp_path / "long.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (160, 120))
-    for _ in range(3000):
-        writer.write(np.zeros((120, 160, 3), np.uint8))
-    writer.release()
+    path = write_video(tmp_path / "long.avi", [np.zeros((120, 160, 3), np.uint8)] * 3000)
     flags = ["--realtime", "--publish", "tcp://127.0.0.1:0", "--publish", "ws://127.0.0.1:0"]
     with run(path, *flags) as (child, (address, viewers)), subscribe_tracks(address, timeout_s=60) as subscription:
         tracks = iter(subscription)

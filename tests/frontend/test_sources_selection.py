@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,48 +10,8 @@ from hypothesis import strategies as st
 from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
-from frontend.protocols import Source
 from frontend.sources.wrapped import Peeked, SelectedFrames
-
-
-@dataclass
-class Listed(Source):
-    """Frames of a list; `read` counts how many were taken from it."""
-
-    frames: list[Frame]
-    endless: bool = False
-    read: int = 0
-    closed: bool = False
-    name: str = "listed"
-    skipped: int = 2
-    start_s: float = 0.0
-
-    @property
-    def frame_count(self) -> int | None:
-        return None if self.endless else len(self.frames)
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self.frames:
-            self.read += 1
-            yield frame
-
-    def close(self) -> None:
-        self.closed = True
-
-
-class Seekable(Listed):
-    @property
-    def first_stamp_ns(self) -> int:
-        return self.frames[0].stamp_ns
-
-    def seek(self, start_s: float) -> None:
-        self.start_s = start_s
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self.frames:
-            if frame.stamp_ns - self.first_stamp_ns >= round(self.start_s * 1e9):
-                self.read += 1
-                yield frame
+from tests.helpers.sources import Listed, Seekable
 
 
 def frames_at(stamps: list[int]) -> list[Frame]:
@@ -98,7 +55,7 @@ def test_equals_list_slicing(
 
 
 def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
-    source = Listed(frames_at(list(range(100))), endless=True)
+    source = Listed(frames_at(list(range(100))), endless=True, skipped=2)
     selection = SelectedFrames(source, stride=10, max_frames=3)
     assert selection.frame_count == 3
     assert [frame.index for frame in selection] == [0, 30, 60]

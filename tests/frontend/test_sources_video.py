@@ -23,8 +23,9 @@ from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
 from frontend.sources.live import LiveSource
 from frontend.sources.video import VideoSource
+from tests.helpers.command import ROOT
+from tests.helpers.videos import write_video
 
-ROOT = Path(__file__).parents[2]
 COUNT, FPS, PERIOD_NS = 60, 25, 40_000_000
 KINDS = {"mjpg.avi": "MJPG", "mpeg4.mp4": "mp4v", "mpeg4.avi": "mp4v", "mjpg.mkv": "MJPG"}
 
@@ -46,11 +47,7 @@ def number_in(image: np.ndarray) -> int:
 def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("videos")
     for name, codec in KINDS.items():
-        writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*codec), FPS, (256, 120))
-        assert writer.isOpened()
-        for number in range(COUNT):
-            writer.write(drawn(number))
-        writer.release()
+        write_video(folder / name, map(drawn, range(COUNT)), codec, FPS)
     return folder
 
 
@@ -191,16 +188,6 @@ def test_missing_file_folder_and_impossible_names(tmp_path: Path) -> None:
     for spec in ("nowhere.mp4", "x" * 5000, "nul\0byte", "\udcff.mp4", "", "/dev/null"):
         with pytest.raises(InputError):
             open_source(spec)
-
-
-def test_name_that_is_not_utf8(videos: Path, tmp_path: Path) -> None:
-    path = tmp_path / "clip\udcff.avi"
-    try:
-        path.write_bytes((videos / "mjpg.avi").read_bytes())
-    except (OSError, UnicodeEncodeError):
-        pytest.skip("this file system holds UTF-8 names only")
-    with pytest.raises(InputError, match="UTF-8"):
-        VideoSource(path)
 
 
 def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

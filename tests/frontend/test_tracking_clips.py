@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,14 +22,12 @@ from frontend.frame import Frame
 from frontend.sources.scene import frame_of
 
 NAMES = ["static", "slow", "handheld", "fast", "dark", "exposure", "occlusion", "repeated"]
-CLIPS = {clip.name: clip for clip in rendered_clips()}
 SIZE = (640, 480)
 
 
-def clip_named(name: str) -> SceneClip:
-    clip = CLIPS[name]
-    assert isinstance(clip, SceneClip)
-    return clip
+@cache
+def clips() -> dict[str, SceneClip]:
+    return {clip.name: clip for clip in rendered_clips() if isinstance(clip, SceneClip)}
 
 
 def grey(frame: Frame) -> NDArray[np.float32]:
@@ -68,10 +67,10 @@ def same(a: tuple[Frame, Truth], b: tuple[Frame, Truth]) -> bool:
 
 @pytest.mark.parametrize("name", ["handheld", "exposure", "occlusion"])
 def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str) -> None:
-    clip = clip_named(name)
+    clip = clips()[name]
     frame, truth = clip.at(26)
+    assert list(clips()) == NAMES
     again = {other.name: other for other in rendered_clips()}[name]
-    assert isinstance(again, SceneClip)
     assert same((frame, truth), again.at(26))
     assert (frame.index, frame.stamp_ns, frame.image.shape) == (26, round(26e9 / 30), (480, 640, 3))
     assert frame.camera is not None
@@ -86,12 +85,12 @@ def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str
 
 @pytest.mark.parametrize("name", ["slow", "repeated", "occlusion"])
 def test_true_lines_are_steps_of_the_image(name: str) -> None:
-    frame, truth = clip_named(name).at(20)
+    frame, truth = clips()[name].at(20)
     assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.85  # the truth holds faint lines, too
 
 
 def test_fast_reaches_forty_pixels_per_frame() -> None:
-    sequence = clip_named("fast").takes[0]
+    sequence = clips()["fast"].takes[0]
     corners = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
     poses = [sequence.pose(i)[:3, :3] for i in range(120)]
     turns = [sequence.K @ after.T @ before @ np.linalg.inv(sequence.K) for before, after in pairwise(poses)]
@@ -102,10 +101,10 @@ def test_fast_reaches_forty_pixels_per_frame() -> None:
 
 
 def test_dark_has_a_quarter_of_the_grey_levels_and_exposure_jumps_by_two() -> None:
-    dark = clip_named("dark").takes[0]
+    dark = clips()["dark"].takes[0]
     lit = replace(dark, effects=replace(dark.effects, exposure=1.0, noise_sigma=0.0))
-    assert clip_named("dark").at(10)[0].image.mean() < 0.3 * lit.render(10).image.mean()
-    jumps = clip_named("exposure")
+    assert clips()["dark"].at(10)[0].image.mean() < 0.3 * lit.render(10).image.mean()
+    jumps = clips()["exposure"]
     ratios = [jumps.at(i)[0].image.mean() / jumps.at(i - 1)[0].image.mean() for i in (12, 24, 36, 48)]
     # Twice the light is 1.37 times the grey level, less where it clips.
     assert np.allclose(np.abs(np.log2(ratios)), 1 / 2.2, atol=0.12)
@@ -114,7 +113,7 @@ def test_dark_has_a_quarter_of_the_grey_levels_and_exposure_jumps_by_two() -> No
 
 
 def test_the_occluder_hides_what_its_mask_covers_and_nothing_else() -> None:
-    clip = clip_named("occlusion")
+    clip = clips()["occlusion"]
     view = clip.takes[0].render(16)
     bare, full = frame_of(16, view), Truth(view.segments_px, view.ids)
     frame, truth = occlude(bare, full)

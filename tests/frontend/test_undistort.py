@@ -13,7 +13,7 @@ from frontend.camera.model import CameraModel, Distortion
 from frontend.camera.undistort import WIDEST_DEG, Undistorter, undistorted_camera
 from frontend.frame import Frame
 from frontend.sources.wrapped import CalibratedFrames, SelectedFrames
-from tests.frontend.test_sources_selection import Listed, Seekable
+from tests.helpers.sources import Listed, Seekable
 
 LENSES: dict[str, tuple[Distortion, list[float]]] = {
     "EuRoC": ("radial-tangential", [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]),
@@ -135,7 +135,7 @@ def frames(count: int = 4, size: tuple[int, int] = (640, 480), carried: CameraMo
 
 def test_frames_carry_the_camera() -> None:
     given = camera("EuRoC")
-    source = Listed(frames())
+    source = Listed(frames(), skipped=2)
     wrapped = CalibratedFrames(source, given)
     assert (wrapped.name, wrapped.frame_count, wrapped.skipped) == ("listed", 4, 2)
     assert all(frame.camera is given and frame.image is old.image for frame, old in zip(wrapped, source, strict=True))
