@@ -138,9 +138,8 @@ def skipped(clip: Path) -> int:
 
 
 def test_video_cut_in_the_middle(desk: Path, clip: Path, caplog: pytest.LogCaptureFixture) -> None:
-    data = write_video(
-        desk / "cut.avi", [cv2.imread(str(clip / f"{k % 8}.png")) for k in range(3 * FRAMES)]
-    ).read_bytes()
+    images = [cv2.imread(str(clip / f"{number}.png")) for number in range(FRAMES)]
+    data = write_video(desk / "cut.avi", 3 * images).read_bytes()
     (desk / "cut.avi").write_bytes(data[: len(data) // 2])
     lost = skipped(Path("cut.avi"))
     assert lost == pytest.approx(1.5 * FRAMES, abs=2)

@@ -34,9 +34,7 @@ def test_every_size_shows_the_input(clip: Path) -> None:
             assert np.abs(original - cv2.imread(str(clip / f"{number}.png"))).mean() < 8
 
 
-def test_figures(
-    clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures(clip, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "ROUNDS", 1)
     out = tmp_path / "bench.json"
     assert main([str(clip), "--size", "160x120", "--frames", "10", "--preset", "fast", "--json", str(out)]) == 0

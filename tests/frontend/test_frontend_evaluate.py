@@ -12,10 +12,7 @@ from airline.errors import InputError
 from frontend.evaluate import main
 from frontend.evaluation.icl import LabelledClip, read_numbers
 from frontend.evaluation.posed import PosedClip
-from tests.helpers.command import ROOT
 from tests.helpers.data_sets import write_labelled, write_posed
-
-DATA = ROOT.parent / "shared" / "data"
 
 
 @pytest.fixture
@@ -108,19 +105,3 @@ def test_photographs(tmp_path: Path) -> None:
     figures = json.loads(path.read_text())["sequences"]
     assert list(figures) == ["photographs-1"]
     assert figures["photographs-1"]["ours"]["link_precision"] > 0.9
-
-
-@pytest.mark.parametrize(("flag", "name"), [("--icl", "icl_nuim_labelled"), ("--posed", "kitti_clip")])
-def test_real_data(tmp_path: Path, flag: str, name: str) -> None:
-    path = tmp_path / "figures.json"
-    if not (DATA / name).is_dir():
-        pytest.skip(f"needs the data set {name}")
-    assert main([flag, str(DATA / name), "--sequence", name, "--limit", "6", "--json", str(path)]) == 0
-    figures = json.loads(path.read_text())
-    for tracker in figures["sequences"].get(name, {}).values():
-        assert tracker["link_precision"] > 0.97
-        assert tracker["link_recall"] > 0.9
-    if figures["posed"]:
-        ours = figures["posed"][name]["ours"]
-        assert ours["tracks_5"] > 100
-        assert ours["consistent_share"] > 0.5

@@ -26,7 +26,6 @@ from tests.helpers.viewer import RERUN, saving_viewer
 from viz.viewer import open_viewer
 
 FRAMES = 8
-PERIOD_NS = 33_333_333
 FLAGS = (
     *("--save", "--headless", "--summary", "--max-frames", "--start", "--end", "--stride", "--resize"),
     *("--preset", "--weights", "--runtime", "--config", "--dump-config", "--version", "-v"),
@@ -156,9 +155,7 @@ def test_built_in_clip_without_an_input(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("flags", [["--headless"], []])
-def test_without_a_display_it_saves_under_the_name_of_the_input(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str]
-) -> None:
+def test_without_a_display_it_saves_under_the_name_of_the_input(clip, tmp_path, monkeypatch, flags):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -172,9 +169,7 @@ def test_without_a_display_it_saves_under_the_name_of_the_input(
     assert "rerun room.rrd" in outcome.out
 
 
-def test_with_a_display_everything_goes_to_the_viewer(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_display_everything_goes_to_the_viewer(clip, tmp_path, monkeypatch):
     """The viewer is Rerun's own, already open, and told to save what it receives instead of opening a window."""
     if not RERUN.exists():
         pytest.skip("Rerun's viewer is not installed beside this Python")

@@ -82,9 +82,7 @@ def failing(folder: Path, error: BaseException) -> Listed:
 
 
 @pytest.mark.parametrize(("error", "code"), [(InputError("the cable is out"), 2), (KeyboardInterrupt(), 130)])
-def test_what_was_written_before_the_end_is_readable(
-    clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
-) -> None:
+def test_what_was_written_before_the_end_is_readable(clip, tmp_path, capsys, error, code):
     save = tmp_path / "run.rrd"
     done, summary = process(failing(clip, error), RunConfig(), [RerunSink(save=save)])
     assert (done, summary.frames) == (code, 3)

@@ -93,9 +93,7 @@ def test_dump_reads_back_as_the_same_settings(tmp_path: Path, part: dict[tuple[s
 
 @given(stored=parts, given_flags=parts)
 @in_one_folder
-def test_flags_over_file_over_preset(
-    tmp_path: Path, stored: dict[tuple[str, ...], Any], given_flags: dict[tuple[str, ...], Any]
-) -> None:
+def test_flags_over_file_over_preset(tmp_path, stored, given_flags):
     """Each setting comes from the first of the three that names it."""
     import tomli_w
 

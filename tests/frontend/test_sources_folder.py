@@ -12,8 +12,6 @@ from airline.errors import ConfigError, InputError
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
 
-ROOT = Path(__file__).parents[2]
-
 
 def drawn(number: int) -> np.ndarray:
     image = np.full((24, 32, 3), 60, np.uint8)

@@ -29,16 +29,7 @@ def frames_at(stamps: list[int]) -> list[Frame]:
     most=st.none() | st.integers(1, 12),
     endless=st.booleans(),
 )
-def test_equals_list_slicing(
-    steps: list[int],
-    first: int,
-    kind: type[Listed],
-    start: int | None,
-    length: int | None,
-    stride: int,
-    most: int | None,
-    endless: bool,
-) -> None:
+def test_equals_list_slicing(steps, first, kind, start, length, stride, most, endless):
     frames = frames_at(list(np.cumsum([first, *steps])))
     start_s = None if start is None else start / 10
     end_s = None if length is None else ((start or 0) + length) / 10
@@ -82,8 +73,7 @@ def test_a_seekable_source_is_not_read_from_the_start() -> None:
 
 
 @pytest.mark.parametrize(
-    ("resize", "shape"),
-    [((32, 16), (16, 32)), ((32, None), (21, 32)), ((120, None), (80, 120)), ((60, 40), (40, 60))],
+    ("resize", "shape"), [((32, 16), (16, 32)), ((32, None), (21, 32)), ((120, None), (80, 120)), ((60, 40), (40, 60))]
 )
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [(), (3,)])

@@ -120,9 +120,7 @@ def test_damage_in_the_middle_of_an_mp4(videos: Path, tmp_path: Path, caplog: py
 @pytest.mark.parametrize("name", ["mjpg.avi", "mjpg.mkv"])
 @given(seed=st.integers(0, 2**32 - 1), start=st.floats(0.05, 0.9), share=st.floats(0.001, 0.3))
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_damage_never_breaks_the_stream(
-    videos: Path, tmp_path: Path, name: str, seed: int, start: float, share: float
-) -> None:
+def test_random_damage_never_breaks_the_stream(videos, tmp_path, name, seed, start, share):
     data = bytearray((videos / name).read_bytes())
     begin, end = int(start * len(data)), int(min(start + share, 1) * len(data))
     data[begin:end] = np.random.default_rng(seed).bytes(end - begin)
@@ -213,8 +211,7 @@ def test_no_such_camera_or_stream_fails_fast() -> None:
     assert "secret" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["mjpg.avi", "mpeg4.mp4"])
-def test_http_stream(videos: Path, name: str) -> None:
+def test_http_stream(videos: Path) -> None:
     class Quiet(SimpleHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
             """Keep the test's output clean."""
@@ -223,17 +220,16 @@ def test_http_stream(videos: Path, name: str) -> None:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         before = time.time_ns()
-        source = open_source(f"http://127.0.0.1:{server.server_port}/{name}")
+        source = open_source(f"http://127.0.0.1:{server.server_port}/mjpg.avi")
         assert isinstance(source, LiveSource)
         assert source.frame_count is None
         assert not source.live, "a recording waits for who reads it"
-        assert source.name == f"127.0.0.1-{server.server_port}-{name}"  # can name a file
+        assert source.name == f"127.0.0.1-{server.server_port}-mjpg.avi"  # can name a file
         frames = list(source)
         source.close()
         server.shutdown()
         thread.join()
-    if name.endswith(".avi"):  # an mp4's index is at its end, which needs a server that can seek
-        assert len(frames) == COUNT
+    assert len(frames) == COUNT
     times = [frame.stamp_ns for frame in frames]
     assert before <= times[0] <= times[-1] <= time.time_ns() + 1_000_000
     assert all(first < second for first, second in pairwise(times))

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -33,9 +33,7 @@ def no_thread_stays() -> Iterator[None]:
     assert threading.active_count() == before
 
 
-def slow(
-    name: str, delays_ms: list[int], fails_at: int | None = None, taken: list[object] | None = None
-) -> Callable[[list[object]], list[object]]:
+def slow(name, delays_ms, fails_at=None, taken=None):
     """A stage that adds its name to an item, after a while; fails at one item. It notes what it has taken."""
     calls = count()
 
@@ -71,14 +69,7 @@ DELAYS = st.lists(st.integers(0, 3), min_size=1, max_size=5)
     stop_after=st.none() | st.integers(0, 14),
     read_ahead=st.booleans(),
 )
-def test_results_are_those_of_one_after_the_other(
-    length: int,
-    delays: list[list[int]],
-    stages: int,
-    fault: tuple[int, int] | None,
-    stop_after: int | None,
-    read_ahead: bool,
-) -> None:
+def test_results_are_those_of_one_after_the_other(length, delays, stages, fault, stop_after, read_ahead):
     """Everything in order, or everything before the fault and then the fault itself."""
     place, item = fault if fault is not None and fault[0] <= stages and fault[1] < length else (None, length)
     names = [f"stage {number}" for number in range(1, stages + 1)]

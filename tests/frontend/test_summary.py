@@ -38,14 +38,7 @@ def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> Any:
     confirm_hits=st.integers(1, 5),
     skipped=st.integers(0, 3),
 )
-def test_figures(
-    seen: list[list[bool]],
-    more_lines: list[int],
-    times: list[float],
-    frames: int,
-    confirm_hits: int,
-    skipped: int,
-) -> None:
+def test_figures(seen, more_lines, times, frames, confirm_hits, skipped):
     """`seen` says of each track in which frames it was seen."""
     counter = SummaryCounter(confirm_hits)
     live, lines = [], []

@@ -17,9 +17,6 @@ from frontend.tracking.motion import predict_segments, warp, working_image
 from frontend.tracking.overlap import LineFeatures, overlap_votes, parents
 from tests.helpers.tracking_frames import line_set, texture
 
-LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
-ALL = np.ones(3, np.bool_)
-
 
 def looks(segments: object, profiles: np.ndarray | None = None) -> LineFeatures:
     """Lines with descriptors of their angles, and the same profile for all unless given."""

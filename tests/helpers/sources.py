@@ -28,7 +28,7 @@ class Listed(Source):
 
     def __iter__(self) -> Iterator[Frame]:
         for frame in self.frames:
-            if frame.stamp_ns - self.frames[0].stamp_ns >= round(self.start_s * 1e9):
+            if not self.start_s or frame.stamp_ns - self.frames[0].stamp_ns >= round(self.start_s * 1e9):
                 self.read += 1
                 yield frame
         if self.error is not None:

@@ -220,9 +220,7 @@ def test_a_socket_that_was_left_behind_is_replaced_and_a_file_is_not(tmp_path: P
 
 
 @pytest.mark.parametrize(("module", "scheme", "extra"), [("zmq", "tcp", "zeromq"), ("foxglove", "ws", "foxglove")])
-def test_without_the_extra_one_sentence_names_it(
-    module: str, scheme: str, extra: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_extra_one_sentence_names_it(module, scheme, extra, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.delitem(sys.modules, f"logs.live.{extra}", raising=False)
     with pytest.raises(ConfigError, match=rf"{module} is not installed: pip install 'airline-frontend\[{extra}\]'"):

@@ -130,9 +130,7 @@ def test_raw_encodings(encoding: str, padding: int, big_endian: bool) -> None:
         (4, 4, "x" * 10**6, 0, 64, "image encoding is not readable"),
     ],
 )
-def test_raw_images_that_contradict_themselves(
-    width: int, height: int, encoding: str, step: int, length: int, reason: str
-) -> None:
+def test_raw_images_that_contradict_themselves(width, height, encoding, step, length, reason):
     with pytest.raises(UndecodableError) as caught:
         decode_pixels(RawImage(0, "", width, height, encoding, step, False, bytes(length)))
     assert caught.value.reason == reason

@@ -93,9 +93,7 @@ def test_cut_anywhere(tmp_path: Path, options: dict[str, bool]) -> None:
 
 @pytest.mark.parametrize("summary", [True, False])
 @pytest.mark.parametrize("compression", CompressionType)
-def test_a_damaged_chunk_costs_only_itself(
-    tmp_path: Path, open_log: Open, compression: CompressionType, summary: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_chunk_costs_only_itself(tmp_path, open_log, compression, summary, caplog):
     path = tmp_path / "a.mcap"
     places = write_chunks(path, CHUNKS, compression=compression, repeat_channels=summary)
     data = bytearray(path.read_bytes())
@@ -213,14 +211,7 @@ def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> 
 )
 @example(changes=[], removed=(0.0, 139), compression=CompressionType.NONE, kind="crc", topic="/camera")
 @settings(max_examples=300, deadline=2000, suppress_health_check=[HealthCheck.too_slow])
-def test_mutations(
-    tmp_path_factory: pytest.TempPathFactory,
-    changes: list[tuple[float, bytes]],
-    removed: tuple[float, int],
-    compression: CompressionType,
-    kind: str,
-    topic: str,
-) -> None:
+def test_mutations(tmp_path_factory, changes, removed, compression, kind, topic):
     path = tmp_path_factory.getbasetemp() / "mutated.mcap"
     options = {"enable_crcs": kind == "crc", "use_chunking": kind != "unchunked", "chunk_size": 700}
     write(path, SENT[:12], compression=compression, **options)

@@ -71,9 +71,7 @@ def test_everything_is_kept(tmp_path: Path, options: dict[str, Any], capsys: pyt
     cut=st.floats(0.3, 1),
 )
 @settings(max_examples=60, deadline=None)
-def test_copies_of_damaged_logs_are_clean(
-    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[float, bytes]], cut: float
-) -> None:
+def test_copies_of_damaged_logs_are_clean(tmp_path_factory, changes, cut):
     path = tmp_path_factory.getbasetemp() / "mutated.mcap"
     data = bytearray(write_all(path, use_chunking=bool(changes)).read_bytes())  # outside chunks there is no CRC
     for where, new in changes:
