@@ -131,10 +131,8 @@ def test_numbers_must_be_finite(tmp_path: Path, number: str) -> None:
 
 
 WRONG = """
-input.stride = 0; input.max_frames = 0; input.start = -1; input.end = 0; input = {start = 5, end = 5}; input.fps = 0
-input.resize = "640x"; input.resize = "x480"; input.resize = "big"; input.resize = ""; recording.jpeg_quality = 0
-recording.jpeg_quality = 101; recording.descriptor_every = -1; tracker.confirm_hits = 0; runtime = "tpu"
-preset = "best"
+input = {start = 5, end = 5}; input.resize = "x480"; input.resize = ""; recording.jpeg_quality = 0
+recording.jpeg_quality = 101; recording.descriptor_every = -1; tracker.confirm_hits = 0
 """
 
 

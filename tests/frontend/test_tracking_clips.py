@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -13,9 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from airline.errors import InputError
-from airline.evaluation.repeatability import warp
 from airline.scenes import RenderedClip
-from frontend.evaluation.moved import MovedPhoto, moved_photos, smooth_homographies
+from frontend.evaluation.moved import MovedPhoto, moved_photos
 from frontend.evaluation.rendered import RADIUS, SceneClip, occlude, occluder_discs, rendered_clips
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
@@ -148,21 +146,6 @@ def test_moved_photos_are_spread_over_the_folder_and_the_same_each_time(folder: 
     assert all(same(a, b) for a, b in zip(frames, moved_photos(folder, count=2, frames=5)[0], strict=True))
     assert not np.array_equal(frames[0][0].image, frames[1][0].image)
     assert [(frame.index, frame.image.shape) for frame, _ in frames] == [(k, (180, 240)) for k in range(5)]
-
-
-@pytest.mark.parametrize("photo_size", [(640, 480), (512, 512), (480, 640), (640, 286)])
-def test_homographies_are_smooth_keep_inside_and_move_as_a_hand_does(photo_size: tuple[int, int]) -> None:
-    view = (round(0.75 * photo_size[0]), round(0.75 * photo_size[1]))
-    corners = np.array([[0.0, 0], [view[0] - 1, 0], [0, view[1] - 1], [view[0] - 1, view[1] - 1]])
-    for seed in range(6):
-        moves = smooth_homographies(photo_size, view, 120, seed)
-        outline = np.stack([warp(corners, np.linalg.inv(move)) for move in moves])
-        assert (outline >= 0).all()
-        assert (outline <= np.array(photo_size) - 1).all()
-        steps = np.linalg.norm([warp(warp(corners, np.linalg.inv(a)), b) - corners for a, b in pairwise(moves)], axis=2)
-        assert 2 < steps.mean() < 12
-        assert 5 < steps.max() < 20
-        assert np.linalg.norm(np.diff(outline, 2, axis=0), axis=2).max() < 8
 
 
 def test_true_lines_of_a_photograph_are_steps_of_every_frame(photo: MovedPhoto) -> None:

@@ -32,9 +32,6 @@ def votes(tracks: LineFeatures, lines: LineFeatures, band: float = 4.0, parts: n
     return overlap_votes(tracks, lines, bands, parts, alike, max_angle=np.deg2rad(20), min_agreement=0.5)
 
 
-# ---- motion
-
-
 def test_prediction_follows_a_turning_camera():
     plane = texture(3, (640, 480))[100:-100, 100:-100]
     camera = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
@@ -46,9 +43,6 @@ def test_prediction_follows_a_turning_camera():
     assert np.abs(expected - lines).max() > 30
     assert np.abs(moved.segments - expected).max() < 2.5, "lines without flow of their own follow the whole image"
     assert not moved.followed.any()
-
-
-# ---- profiles
 
 
 def step_image() -> np.ndarray:
@@ -67,17 +61,6 @@ def test_profiles_of_a_step():
     assert np.allclose(side_profiles(step_image(), down[:, ::-1])[0], profile[::-1], atol=1e-6)
 
 
-def test_profiles_forget_brightness_and_contrast():
-    lines = np.array([[[59.5, 20], [59.5, 80]], [[50, 20], [70, 90]]], np.float32)
-    image = step_image()
-    changed = (image * 0.5 + 90).astype(np.uint8)
-    assert np.allclose(side_profiles(image, lines), side_profiles(changed, lines), atol=0.02)
-    assert np.allclose(side_profiles(np.full_like(image, 77), lines), 0)
-
-
-# ---- votes
-
-
 def test_votes_of_hand_made_pairs():
     track = looks([[[0, 0], [100, 0]]])
     lines = looks(
@@ -88,17 +71,6 @@ def test_votes_of_hand_made_pairs():
     assert votes(track, lines)[0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_votes_do_not_depend_on_the_order_of_end_points():
-    rng = np.random.default_rng(2)
-    segments = rng.uniform(0, 60, (15, 2, 2)).astype(np.float32)
-    profiles = rng.normal(0, 0.3, (15, 8)).astype(np.float32)
-    lines = looks(segments, profiles)
-    reversed_lines = LineFeatures(segments[:, ::-1].copy(), lines.descriptors, profiles[:, ::-1].copy())
-    forward = votes(lines, lines, band=10.0)
-    assert np.allclose(forward, votes(lines, reversed_lines, band=10.0), atol=1e-4)
-    assert (np.diag(forward) > 0.3).all()
-
-
 def test_votes_prefer_the_line_that_looks_alike():
     step = np.float32([-1, -1, -1, -1, 1, 1, 1, 1]) / np.float32(np.sqrt(8))
     track = looks([[[0, 0], [100, 0]]], step[None])
@@ -106,9 +78,6 @@ def test_votes_prefer_the_line_that_looks_alike():
     alike, opposite = votes(track, lines)[0]
     assert alike > 0.2
     assert opposite == pytest.approx(0, abs=1e-6)
-
-
-# ---- assignment
 
 
 @settings(max_examples=100, deadline=None)
@@ -123,16 +92,6 @@ def test_assignment_is_the_best_of_all(rows, columns, density, seed):
     assert (pairs >= least).all()
     worth = np.where(matrix >= least, matrix, 0)
     assert pairs.sum() == pytest.approx(worth[linear_sum_assignment(worth, maximize=True)].sum(), rel=1e-5)
-
-
-def test_assignment_leaves_masked_rows_and_columns_alone():
-    matrix = np.array([[0.9, 0.5, 0.3], [0.8, 0.7, 0.2]], np.float32)
-    assert assign(matrix, 0.1).tolist() == [0, 1]
-    assert assign(matrix, 0.1, rows=np.array([False, True])).tolist() == [-1, 0]
-    assert assign(matrix, 0.1, columns=np.array([False, True, True])).tolist() == [2, 1]
-
-
-# ---- fusion
 
 
 @settings(max_examples=60, deadline=None)
@@ -162,9 +121,6 @@ def test_fusion_is_the_kalman_update(seed):
     assert at_lever == pytest.approx(shift, abs=0.02)
     moved = np.array([[1, back[:, 0].mean() - lever], [0, 1]])
     assert np.allclose(covariance[0], moved @ after @ moved.T, rtol=0.05, atol=2e-4)
-
-
-# ---- fragments and borders
 
 
 def test_fragments_lie_on_an_older_line_but_not_beside_the_piece_that_goes_on():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ class Listed(Source):
     name: str = "listed"
     skipped: int = 0
     start_s: float = 0.0
+    cost_s: float = 0.0  # of reading a frame
 
     @property
     def frame_count(self) -> int | None:
@@ -29,6 +31,7 @@ class Listed(Source):
     def __iter__(self) -> Iterator[Frame]:
         for frame in self.frames:
             if not self.start_s or frame.stamp_ns - self.frames[0].stamp_ns >= round(self.start_s * 1e9):
+                time.sleep(self.cost_s)
                 self.read += 1
                 yield frame
         if self.error is not None:

@@ -12,8 +12,6 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
 from mcap.records import DataEnd, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
@@ -200,32 +198,3 @@ def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> 
     log = open_log(path)
     assert_read(log, [message for message in SENT[:12] if message.channel != 1])
     assert log.lost == {"messages of unknown channels": sum(message.channel == 1 for message in SENT[:12])}
-
-
-@given(
-    changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=0, max_size=12)), max_size=4),
-    removed=st.tuples(st.floats(0, 1), st.integers(0, 300)),
-    compression=st.sampled_from(CompressionType),
-    kind=st.sampled_from(["crc", "no crc", "unchunked"]),
-    topic=st.sampled_from(["/camera", "/imu"]),
-)
-@example(changes=[], removed=(0.0, 139), compression=CompressionType.NONE, kind="crc", topic="/camera")
-@settings(max_examples=300, deadline=2000, suppress_health_check=[HealthCheck.too_slow])
-def test_mutations(tmp_path_factory, changes, removed, compression, kind, topic):
-    path = tmp_path_factory.getbasetemp() / "mutated.mcap"
-    options = {"enable_crcs": kind == "crc", "use_chunking": kind != "unchunked", "chunk_size": 700}
-    write(path, SENT[:12], compression=compression, **options)
-    data = bytearray(path.read_bytes())
-    for where, new in changes:
-        place = 8 + int(where * (len(data) - 8))
-        data[place : place + len(new)] = new
-    place = 8 + int(removed[0] * (len(data) - 8))
-    del data[place : place + removed[1]]
-    path.write_bytes(data)
-    with closing(McapFile(path)) as log:
-        if topic in log.topics:
-            found = read(log, topic)
-            read(log, topic, 1050)
-            if kind == "crc":
-                assert set(found) <= set(on_topic(SENT[:12], topic))
-                assert len(set(found)) == len(found)
