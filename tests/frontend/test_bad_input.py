@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.helpers.command import EVERY_FRAME, command, recorded
+from tests.helpers.command import EVERY_FRAME, command, recorded, refusal
 from tests.helpers.videos import write_video
 
 FRAMES = 8
@@ -28,17 +28,9 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def refuse(*arguments: object) -> str:
     """Run, check that it is refused in one sentence and leaves no trace, and return the sentence."""
     before = {path: path.read_bytes() for path in Path.cwd().rglob("*") if path.is_file()}
-    save = () if "--save" in arguments else ("--save", "run.rrd")
-    outcome = command(*arguments, *save)
-    assert outcome.code == 2, outcome
-    assert outcome.out == ""
-    sentence, end = outcome.err[:-1], outcome.err[-1:]
-    assert sentence.startswith("error: ")
-    assert end == "\n"
-    assert "\n" not in sentence
-    assert len(sentence) < 500
+    sentence = refusal(*arguments, *(() if "--save" in arguments else ("--save", "run.rrd")))
     assert {path: path.read_bytes() for path in Path.cwd().rglob("*") if path.is_file()} == before
-    return sentence.removeprefix("error: ")
+    return sentence
 
 
 @pytest.mark.parametrize("name", ["missing.mp4", "missing", "missing/*.png", "missing.mcap", "missing.png", "", "98"])

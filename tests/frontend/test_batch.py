@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import os
 import sys
+import unicodedata
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from airline.errors import AirLineError
+from airline.errors import AirLineError, InputError
 from frontend.batch import job as jobs
 from frontend.batch import run_batch
 from frontend.batch.__main__ import main
 from frontend.batch.job import FIGURES, OUTPUTS
 from frontend.batch.plan import job_settings, make_plan, reserved
+from frontend.batch.recordings import find_recordings, fingerprint, unique_names
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
@@ -182,3 +186,85 @@ def test_without_ray_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "log.mcap").write_bytes(b"")
     with pytest.raises(AirLineError, match=r"pip install 'airline-frontend\[fleet\]'"):
         run_batch([tmp_path / "log.mcap"], tmp_path / "out", ray="auto")
+
+
+PART = st.sampled_from(["a", "A", "b", "a-b", "ä", "a\u0308", ".x", "x", "x" * 140, "\udcff", "report"])
+SUFFIX = st.sampled_from(["", ".mcap", ".bag", ".mp4", ".tar.gz"])
+PATH = st.builds(lambda above, name, suffix: Path("/", *above, name + suffix), st.lists(PART, max_size=3), PART, SUFFIX)
+PATHS = st.lists(PATH, unique=True, max_size=12)
+
+
+def key(name: str) -> str:
+    return unicodedata.normalize("NFC", name.casefold())
+
+
+@given(PATHS, st.lists(PART, max_size=5), st.randoms())
+def test_names_are_distinct_and_do_not_depend_on_the_order(paths, taken, random):
+    names = unique_names(paths, taken)
+    assert set(names) == set(paths)
+    keys = {key(name) for name in names.values()}
+    assert len(keys) == len(paths)
+    assert not keys & set(map(key, taken))
+    for name in names.values():
+        assert "/" not in name
+        assert not name.startswith(".")
+        assert 0 < len(name.encode()) <= 150
+    random.shuffle(paths)
+    assert unique_names(paths, taken) == names
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/d/x.mcap", "/d/y.mcap"], ["x", "y"]),
+        (["/d/x.mcap", "/d/x.bag"], ["x.mcap", "x.bag"]),
+        (["/a/x.mcap", "/b/x.mcap", "/b/y.mcap"], ["a-x", "b-x", "y"]),
+        (["/a/left/x.mcap", "/b/left/x.mcap"], ["a-left-x", "b-left-x"]),
+        (["/d/X.mcap", "/e/x.mcap"], ["d-X", "e-x"]),
+        (["/d/taken.mcap"], ["d-taken"]),
+    ],
+)
+def test_names_are_short(paths: list[str], names: list[str]) -> None:
+    assert list(unique_names(map(Path, paths), ["taken"]).values()) == names
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    for name in ("img10.mcap", "img2.mcap", "deep/er/x.mcap", "out/img2/tracks.mcap", "[1].bag"):
+        path = tmp_path / "logs" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"log")
+    return tmp_path / "logs"
+
+
+def found(files: Path, *patterns: str) -> list[str]:
+    paths = find_recordings([files / pattern for pattern in patterns], files / "out")
+    return [str(path.relative_to(files)) for path in paths]
+
+
+def test_globs_are_expanded_in_natural_order_each_recording_once_and_without_the_results(files: Path) -> None:
+    assert found(files, "*.mcap") == ["img2.mcap", "img10.mcap"]
+    assert found(files, "**/*.mcap") == ["deep/er/x.mcap", "img2.mcap", "img10.mcap"]
+    assert found(files, "*") == ["[1].bag", "deep", "img2.mcap", "img10.mcap"]
+    assert found(files, "img10.mcap", "*.mcap", "deep/../img2.mcap") == ["img10.mcap", "img2.mcap"]
+    assert found(files, "[1].bag") == ["[1].bag"]
+
+
+def test_relative_paths_and_home(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(files)
+    monkeypatch.setenv("HOME", str(files))
+    assert find_recordings(["img2.mcap", "~/img10.*"], Path("out")) == [files / "img2.mcap", files / "img10.mcap"]
+
+
+@pytest.mark.parametrize("pattern", ["*.mp4", "none.mcap", "out/**/*.mcap", "out", "."])
+def test_a_pattern_without_a_recording_is_an_error(files: Path, pattern: str) -> None:
+    with pytest.raises(InputError):
+        found(files, "img2.mcap", pattern)
+
+
+def test_fingerprint_changes_with_the_files(files: Path) -> None:
+    before = fingerprint(files)
+    assert before["bytes"] == 15
+    (files / "deep/er/x.mcap").write_bytes(b"longer")
+    assert fingerprint(files)["bytes"] == 18
+    assert fingerprint(files / "none") == {"bytes": 0, "modified_ns": 0}

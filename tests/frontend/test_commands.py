@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
-from tests.helpers.command import ROOT, command
+from frontend import bench
+from frontend.bench import ClipSource, load_clips, main
+from frontend.cli.settings import RunConfig
+from tests.helpers.command import ROOT, refusal
 
 ERRORS = """
 bench: --frames 1: --frames | bench: --size 640: '640' is no size | bench: --size 4x4: '4x4' is no size
@@ -37,11 +43,7 @@ def test_what_cannot_be_used_is_said_in_a_sentence(case: str, tmp_path: Path, mo
     Path("log.mcap").write_bytes(b"")
     Path("file").write_bytes(b"")
     module = import_module("frontend.batch.__main__" if name == "batch" else f"frontend.{name}")
-    outcome = command(*arguments.split(), main=module.main)
-    assert outcome.code == 2
-    assert outcome.err.startswith("error: ")
-    assert message in outcome.err
-    assert outcome.err.count("\n") == 1
+    assert message in refusal(*arguments.split(), main=module.main)
     assert not Path("out/report.parquet").exists()
 
 
@@ -56,8 +58,45 @@ def test_what_cannot_be_used_is_said_in_a_sentence(case: str, tmp_path: Path, mo
 )
 def test_imports_and_help_load_nothing_heavy(work: str) -> None:
     heavy = {"torch", "openvino", "rerun", "ray", "pyarrow", "numba", "cv2", "scipy", "natsort", "mcap"}
+    heavy |= {"numpy", "rich"} if "main" in work else set()
     code = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules)))\n{work}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
     assert "--help" in done.stdout or "main" not in work
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, [0] * 7), (2, [0, 1] * 3 + [0]), (4, [0, 1, 2, 3, 2, 1, 0])])
+def test_the_clip_goes_forth_and_back(count: int, expected: list[int]) -> None:
+    files = [cv2.imencode(".png", np.full((16, 16), 20 * number, np.uint8))[1].tobytes() for number in range(count)]
+    frames = list(ClipSource(files, 7))
+    assert [frame.image[0, 0] // 20 for frame in frames] == expected
+    assert [frame.index for frame in frames] == list(range(7))
+    assert len({frame.stamp_ns for frame in frames}) == 7
+
+
+def test_every_size_shows_the_input(clip: Path) -> None:
+    sizes = [(160, 120), (80, 60), (320, 200)]
+    clips = load_clips(str(clip), sizes, RunConfig())
+    for size, files in clips.items():
+        frames = list(ClipSource(files, 8))
+        for number, frame in enumerate(frames):
+            assert f"{frame.image.shape[1]}x{frame.image.shape[0]}" == size
+            original = cv2.resize(frame.image, (160, 120), interpolation=cv2.INTER_AREA).astype(float)
+            assert np.abs(original - cv2.imread(str(clip / f"{number}.png"))).mean() < 8
+
+
+def test_figures(clip, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 1)
+    out = tmp_path / "bench.json"
+    assert main([str(clip), "--size", "160x120", "--frames", "10", "--preset", "fast", "--json", str(out)]) == 0
+    written = json.loads(out.read_text())
+    assert (written["preset"], written["frames"], list(written["sizes"])) == ("fast", 10, ["160x120"])
+    figures = written["sizes"]["160x120"]
+    for key in ("fps", "fps_serial", "fps_rerun", "fps_rerun_serial", "fps_mcap", "lsd_ms", "lines", "latency_ms"):
+        assert figures[key] > 0
+    assert {"edges", "track"} < figures["stage_ms"].keys()
+    assert 5 < figures["peak_mb"] < 1000
+    shown = capsys.readouterr().out
+    assert "160x120" in shown
+    assert f"{figures['fps']:.1f}" in shown

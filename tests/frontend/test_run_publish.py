@@ -20,7 +20,7 @@ import zmq
 
 from frontend.tracks import LineTracks
 from logs import read_tracks, subscribe_tracks
-from tests.helpers.command import ROOT, command, python
+from tests.helpers.command import ROOT, python, refusal
 from tests.helpers.foxglove_client import FoxgloveClient
 from tests.helpers.made_tracks import assert_all_same
 from tests.helpers.videos import write_video
@@ -100,9 +100,7 @@ def test_an_address_that_cannot_be_had_is_refused_before_any_work(clip: Path, tm
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address += f"127.0.0.1:{taken.getsockname()[1]}" if address.endswith("//") else ""
         flags = ["--publish", "tcp://127.0.0.1:0", "--publish", address, "--out", tmp_path / "tracks.mcap"]
-        outcome = command(clip, "--headless", *flags)
-    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
-    assert address in outcome.err
+        assert address in refusal(clip, "--headless", *flags)
     assert not list(tmp_path.iterdir())
 
 

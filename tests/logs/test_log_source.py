@@ -134,14 +134,11 @@ def test_seek(tmp_path: Path, start_s: float, late_ns: int) -> None:
 def test_seek_where_the_clocks_run_apart(tmp_path: Path) -> None:
     """Played back at a fifth of the speed while recording: the log's clock runs five times as fast as the stamps."""
     times = [number * STEP_NS for number in range(100)]
-    messages = [Logged(EPOCH_NS + 5 * time, raw(number, EPOCH_NS + time)) for number, time in enumerate(times)]
-    path = write_log(tmp_path / "a.mcap", {"/camera": Channel("sensor_msgs/msg/Image", "cdr", messages)})
-    frames = list(SelectedFrames(McapImageSource(path), start_s=6.0))
-    assert [frame.stamp_ns - EPOCH_NS for frame in frames] == times[60:]
-    slow = [Logged(EPOCH_NS + time // 5, raw(number, EPOCH_NS + time)) for number, time in enumerate(times)]
-    path = write_log(tmp_path / "b.mcap", {"/camera": Channel("sensor_msgs/msg/Image", "cdr", slow)})
-    frames = list(SelectedFrames(McapImageSource(path), start_s=6.0))
-    assert [frame.stamp_ns - EPOCH_NS for frame in frames] == times[60:]
+    for speed in (5, 0.2):
+        messages = [Logged(EPOCH_NS + int(speed * time), raw(k, EPOCH_NS + time)) for k, time in enumerate(times)]
+        path = write_log(tmp_path / "a.mcap", {"/camera": Channel("sensor_msgs/msg/Image", "cdr", messages)})
+        frames = list(SelectedFrames(McapImageSource(path), start_s=6.0))
+        assert [frame.stamp_ns - EPOCH_NS for frame in frames] == times[60:]
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -138,17 +138,6 @@ def test_a_chunk_without_crc_whose_records_do_not_fill_it(tmp_path: Path, open_l
     assert log.lost == {"damaged chunk": 1}
 
 
-def test_zeros_at_the_end(tmp_path: Path, open_log: Open, caplog: pytest.LogCaptureFixture) -> None:
-    """What a loss of power leaves on some file systems."""
-    path = tmp_path / "a.mcap"
-    places = write_chunks(path, CHUNKS)
-    path.write_bytes(path.read_bytes()[: places[7][0]] + bytes(100_000))
-    log = open_log(path)
-    assert_read(log, SENT[:42])
-    assert log.lost == {BEHIND: 1}
-    assert_warned_once(caplog)
-
-
 def bombs() -> dict[str, bytes]:
     """Chunks that claim or become too much."""
     zeros = bytes(64 << 20)
