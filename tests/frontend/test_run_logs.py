@@ -105,7 +105,9 @@ def test_calibration_file_and_undistortion(desk: Path, clip: Path) -> None:
         (["--calib", "missing.yaml"], "missing.yaml"),
         (["--out", "plvins.mcap"], "--calib"),
     ):
-        assert hint in refusal(clip, "--headless", *flags)
+        refused = command(clip, "--headless", *flags)
+        assert (refused.code, refused.err.count("\n")) == (2, 1), refused
+        assert hint in refused.err
 
 
 def test_time_source_and_start(desk: Path) -> None:
