@@ -47,12 +47,11 @@ def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outc
 
 
 def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
-    """The one sentence with which a command line refuses its arguments or its input, printing nothing else."""
+    """The one sentence with which a command line is refused before it prints anything."""
     outcome = command(*arguments, main=main)
-    assert outcome.code == 2
-    assert outcome.err.startswith("error: ")
-    assert (outcome.err.count("\n"), outcome.out) == (1, "")
-    return outcome.err
+    assert (outcome.code, outcome.out) == (2, ""), outcome
+    assert re.fullmatch(r"error: .{1,500}\n", outcome.err), outcome.err
+    return outcome.err.removeprefix("error: ").rstrip("\n")
 
 
 def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import fields
 from functools import cache
 from typing import Any
@@ -47,6 +48,13 @@ def write_tracks(sink: Sink, results: Iterable[FrameResult]) -> None:
     for result in results:
         sink.write(result)
     sink.close()
+
+
+def write_all(sink: Sink, stream: Iterable[LineTracks]) -> None:
+    """Write the tracks of some frames, and close."""
+    with closing(sink):
+        for tracks in stream:
+            sink.write(result_of(tracks))
 
 
 def blank_tracks(count: int, *, frame_index: int = 0, stamp_ns: int = 0, **given: Any) -> LineTracks:
