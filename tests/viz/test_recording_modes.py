@@ -15,10 +15,10 @@ import pytest
 
 from airline.errors import ConfigError, InputError
 from frontend.colours import CYCLE, hsv_to_rgb, track_colours
-from frontend.soak import resident_mb
 from tests.helpers.command import command, recorded
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
+from tests.helpers.soak import resident_mb
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
