@@ -8,9 +8,10 @@ from pathlib import Path
 
 from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError
-from frontend.batch import BatchInterrupted, run_batch
-from frontend.batch.job import OUTPUTS
+from frontend.batch import BatchInterrupted, Row, run_batch
+from frontend.batch.job import OUTPUTS, REPORT
 from frontend.cli.flags import add_settings, settings_of
+from frontend.cli.settings import load
 from frontend.cli.signals import EXIT_INTERRUPTED, ending_like_interrupts
 from frontend.cli.terminal import set_up_logging
 
@@ -55,9 +56,6 @@ def main(arguments: list[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     set_up_logging(0)
     try:
-        from frontend.batch.plan import REPORT, summary_lines
-        from frontend.cli.settings import load
-
         config = load(options.config, settings_of(options))
         names = ("write", "workers", "ray", "overwrite")
         given = {name: getattr(options, name) for name in names}
@@ -74,6 +72,19 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     return code or (EXIT_SOME_FAILED if any(row.status == "failed" for row in rows) else 0)
+
+
+def summary_lines(rows: list[Row]) -> list[str]:
+    """What became of how many recordings, and the reasons of those that failed."""
+    lines = []
+    for status in ("done", "skipped", "failed", "pending"):
+        found = [row for row in rows if row.status == status]
+        if found:
+            frames, tracks = sum(row.frames or 0 for row in found), sum(row.tracks or 0 for row in found)
+            seconds = sum(row.seconds or 0 for row in found)
+            lines.append(f"{status}: {len(found)} recordings, {frames} frames, {tracks} tracks, {seconds:.1f} s")
+    lines += [f"failed {row.name}: {row.reason}" for row in rows if row.status == "failed"]
+    return [line.encode("utf-8", "replace").decode() for line in lines]  # file names may hold bytes that are no text
 
 
 if __name__ == "__main__":

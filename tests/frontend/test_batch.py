@@ -16,10 +16,10 @@ import pytest
 from airline.errors import AirLineError
 from frontend import batch as batches
 from frontend.batch import job as jobs
-from frontend.batch import run_batch
+from frontend.batch import reserved, run_batch
 from frontend.batch.__main__ import main
-from frontend.batch.job import FIGURES, OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
-from frontend.batch.plan import job_settings, make_plan, reserved
+from frontend.batch.job import OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
+from frontend.batch.plan import job_settings, make_plan
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
@@ -28,6 +28,7 @@ from tests.helpers.command import ROOT, Outcome, command
 FRAMES = 8
 GOOD = {f"log{number}" for number in range(3)}
 BROKEN = {"cut", "empty", "no_camera"}
+FIGURES = ("frames", "skipped_frames", "lines_per_frame", "tracks", "track_length_median", "fps", "seconds")
 
 
 def batch(*arguments: object) -> Outcome:
@@ -170,7 +171,7 @@ def test_the_end_of_a_process_is_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process: str, reason: str | WorkerDied
 ) -> None:
     monkeypatch.setattr(jobs, "_RUN", f"import os, sys; {process}")
-    ended = run_recording(Job("a", "/a.mcap", tmp_path / "a", {}), JobSettings(RunConfig(), ("parquet",)))
+    ended = run_recording(Job("a", "/a.mcap", tmp_path / "a", {}), JobSettings(RunConfig(), ("parquet",), {}))
     if isinstance(reason, WorkerDied):
         assert ended == reason
     else:

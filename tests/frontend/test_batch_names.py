@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airline.errors import InputError
-from frontend.batch.recordings import find_recordings, fingerprint, unique_names
+from frontend.batch.plan import find_recordings, fingerprint, unique_names
 
 PART = st.sampled_from(["a", "A", "b", "a-b", "ä", "a\u0308", ".x", "x", "x" * 140, "\udcff", "report"])
 SUFFIX = st.sampled_from(["", ".mcap", ".bag", ".mp4", ".tar.gz"])
