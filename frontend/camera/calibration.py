@@ -14,8 +14,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from airline.errors import ConfigError, InputError
-from frontend.camera.lens import lens
-from frontend.camera.model import CameraModel
+from frontend.camera.model import CameraModel, lens
 
 log = logging.getLogger(__name__)
 

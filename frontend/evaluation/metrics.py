@@ -119,7 +119,7 @@ def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
     claims = [np.zeros((0, 3), np.int64)]
     for frame, record in enumerate(records):
         known = record.owners >= 0
-        pairs = np.stack([record.tracked.identities[known], record.owners[known]], axis=1)
+        pairs = np.stack([record.identities[known], record.owners[known]], axis=1)
         claims.append(np.unique(np.insert(pairs, 0, frame, axis=1), axis=0))
     return np.concatenate(claims)
 
@@ -139,7 +139,7 @@ def changes(records: Sequence[Record]) -> tuple[int, int]:
         delta = record.tracked.segments_px[:, 1] - record.tracked.segments_px[:, 0]
         for row in np.argsort(-np.hypot(delta[:, 0], delta[:, 1]), kind="stable"):
             if record.owners[row] >= 0:
-                holders.setdefault(int(record.owners[row]), []).append(int(record.tracked.identities[row]))
+                holders.setdefault(int(record.owners[row]), []).append(int(record.identities[row]))
         for line, tracks in holders.items():
             track, seen = last.get(line, (tracks[0], index))
             if track not in tracks:

@@ -16,12 +16,11 @@ from airline.errors import InputError
 from airline.evaluation.repeatability import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
+from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image
 from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
-from frontend.sources.opencv import decode_image
 
-FRAMES_PER_SECOND = 30
 _VIEW = 0.75  # size of the clip's images over that of the photograph
 _ZOOM = 1.1  # pixels of the view per pixel of the photograph, in the mean
 _SMALLEST = 160  # px; a smaller photograph leaves no room to move in
@@ -139,12 +138,7 @@ def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], siz
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
-    try:
-        image = decode_image(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"cannot read '{path}': {error}") from error
-    if image is None:
-        raise InputError(f"'{path}' is no image that can be read: remove it from the folder")
+    image = read_image(path)
     if min(image.shape[:2]) < _SMALLEST:
         size = f"{image.shape[1]}x{image.shape[0]}"
         raise InputError(f"'{path}' has {size} px: a photograph to move needs at least {_SMALLEST}x{_SMALLEST}")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from frontend.frame import Frame
+from frontend.tracks import LineTracks
 
 UNKNOWN = -1
 AMBIGUOUS = -2
@@ -38,10 +39,7 @@ class Truth:
 
 
 class Clip(Protocol):
-    """A short stream with known identities, by the name that the command line and the JSON give it.
-
-    Iterating twice gives the same frames.
-    """
+    """A short stream with known identities, the same each time, by the name that the table and the JSON give it."""
 
     @property
     def name(self) -> str: ...
@@ -53,7 +51,7 @@ class Clip(Protocol):
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker says of one frame. Row k of every array speaks of the same track.
+    """What of `LineTracks` is measured. Row k of every array speaks of the same track.
 
     Attributes:
         ids: (N,) int64 track ids, no two alike.
@@ -67,16 +65,11 @@ class Tracked:
     segments_px: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
 
-    @property
-    def identities(self) -> NDArray[np.int64]:
-        """(N,) int64 the track each row is an observation of: for a fragment the one it is a piece of."""
-        return np.where(self.fragment_of >= 0, self.fragment_of, self.ids)
-
 
 class Tracker(Protocol):
     """Anything that tracks lines."""
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked:
+    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks:
         """Take the lines of the next frame."""
         ...
 
@@ -93,7 +86,7 @@ class Record:
         ms: time of the tracker's update.
     """
 
-    tracked: Tracked
+    tracked: Tracked | LineTracks
     line_owners: NDArray[np.int64]
     truth: Truth
     size: tuple[int, int]
@@ -103,6 +96,11 @@ class Record:
     def owners(self) -> NDArray[np.int64]:
         """(N,) int64 true line of every track."""
         return self.line_owners[self.tracked.line_indices]
+
+    @property
+    def identities(self) -> NDArray[np.int64]:
+        """(N,) int64 the track each row is an observation of: for a fragment the one it is a piece of."""
+        return np.where(self.tracked.fragment_of >= 0, self.tracked.fragment_of, self.tracked.ids)
 
     @cached_property
     def detected(self) -> NDArray[np.int64]:
