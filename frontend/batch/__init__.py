@@ -1,9 +1,8 @@
 """The frontend over many recordings: `python -m frontend.batch 'logs/*.mcap' --out results`.
 
-Each recording is a process of `python -m frontend.run` and gets a folder in the output folder, with its tracks and
-`summary.json`. The folder appears when it is complete, so whatever ends a batch, the same command goes on from there:
-it skips the recordings that have results and runs those that failed or never ran. Recordings that have changed since,
-and all when the settings change, are run again; their earlier results stay until the new ones take their place.
+Each recording is a process of `python -m frontend.run` and gets a folder with its tracks and `summary.json`, which
+appears when it is complete: whatever ends a batch, the same command goes on from there. It skips the recordings that
+have results, unless they or the settings have changed since; earlier results stay until new ones take their place.
 `report.parquet` has a row for each recording.
 """
 
@@ -107,11 +106,6 @@ def reserved(out: Path) -> Iterator[None]:
         lock = (out / ".lock").open("a")
     except OSError as error:
         raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
-
-    def remove_unfinished() -> None:
-        for folder in out.glob(f".*{UNFINISHED}*"):
-            shutil.rmtree(folder, ignore_errors=True)
-
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
@@ -119,11 +113,16 @@ def reserved(out: Path) -> Iterator[None]:
             raise InputError(f"another batch is writing into '{out}': wait for it, or give another --out") from None
         except OSError:  # a file system without locks
             pass
-        remove_unfinished()
+        _remove_unfinished(out)
         try:
             yield
         finally:
-            remove_unfinished()
+            _remove_unfinished(out)
+
+
+def _remove_unfinished(out: Path) -> None:
+    for folder in out.glob(f".*{UNFINISHED}*"):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run_all(jobs: Sequence[Job], submit: Submit) -> Iterator[Row]:

@@ -64,15 +64,15 @@ def fingerprint(path: Path) -> dict[str, int]:
 def unique_names(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[Path, str]:
     """A folder name for each recording: as short as is distinct, whatever their order.
 
-    `a/x.mcap` becomes `x`; beside `a/x.bag` it becomes `x.mcap`, beside `b/x.mcap` `a-x`, and else it has a digest.
-    Names differ by more than upper and lower case, also from those that are `taken`.
+    `a/x.mcap` becomes `x`; beside `b/x.mcap` it becomes `a-x`, beside `a/x.bag` `x.mcap`; where both are there it is a
+    digest. Names differ by more than upper and lower case, also from those that are `taken`.
     """
     choices = {}
     for path in paths:
         stem = path.name if path.is_dir() else path.stem
         joined = ["-".join((*path.parts[-1 - depth : -1], stem)) for depth in range(1, len(path.parts))]
         # no hidden folder, and only characters that can be printed and stored
-        names = [name.encode("utf-8", "replace").decode().replace("/", "") for name in (stem, path.name, *joined)]
+        names = [name.encode("utf-8", "replace").decode().replace("/", "") for name in (stem, *joined, path.name)]
         names = [name.lstrip(".") or "recording" for name in names if len(name.encode()) <= _LONGEST]
         choices[path] = [*names, f"recording-{hashlib.sha256(os.fsencode(path)).hexdigest()}"]
     claims = Counter(key for names in choices.values() for key in set(map(_key, names)))

@@ -67,11 +67,9 @@ class Tracked:
 
 
 class Tracker(Protocol):
-    """Anything that tracks lines."""
+    """Takes the lines of one frame after the other."""
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks:
-        """Take the lines of the next frame."""
-        ...
+    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks: ...
 
 
 @dataclass(frozen=True)
@@ -112,11 +110,10 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
     """The true line that each detected line belongs to.
 
     A piece of a true line speaks for a detected line if the angle between them is at most 5 degrees, or for lines
-    under 23 px what turns their ends aside by 1 px. Measured across the detected line, over the part that both have
-    in common, their mean distance is that of the piece; that of a true line is the mean of its pieces'. The detected
-    line belongs to the nearest true line that is at most 1.25 px away and whose pieces cover half of it. It is
-    ambiguous when another true line that covers a quarter of it is nearer, or less than 1 px farther away: two lines
-    side by side, or end to end. Several detected lines may belong to one true line: it broke.
+    under 23 px what turns their ends aside by 1 px. Its distance is the mean across the detected line, over the part
+    that both have in common; that of a true line is the mean of its pieces'. The detected line belongs to the nearest
+    true line that is at most 1.25 px away and whose pieces cover half of it. It is ambiguous when another that covers
+    a quarter of it is nearer, or less than 1 px farther away. Several may belong to one true line: it broke.
 
     Args:
         detected: (N, 2, 2) px.
@@ -126,9 +123,7 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
         (N,) int64 ids of true lines, -1 where there is none, -2 where it is ambiguous.
     """
     ids, line_of_piece = np.unique(truth.ids, return_inverse=True)
-    lines: NDArray[np.int64] = _owners(
-        np.asarray(detected, np.float64), np.asarray(truth.segments_px, np.float64), line_of_piece, len(ids)
-    )
+    lines = _owners(detected.astype(np.float64), truth.segments_px.astype(np.float64), line_of_piece, len(ids))
     return np.where(lines >= 0, ids[lines] if len(ids) else UNKNOWN, lines)
 
 
