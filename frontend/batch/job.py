@@ -119,8 +119,8 @@ def row_of(job: Job, status: Status, summary: dict[str, Any]) -> Row:
 def run_recording(job: Job, settings: JobSettings, lifeline: int = subprocess.PIPE) -> Row | WorkerDied:
     """Run one recording in a process of its own; whatever goes wrong becomes the reason why it failed.
 
-    Results are written into a hidden folder beside `job.folder`, which they replace when they are complete. The process
-    ends when the other end of the pipe `lifeline` is closed, by whom or what ever.
+    Results are made in a hidden folder beside `job.folder`, and take its place when they are complete. The process ends
+    when the other end of the pipe `lifeline` is closed, by whom or what ever.
     """
     started = time.monotonic()
     warnings: tuple[str, ...] = ()

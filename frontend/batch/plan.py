@@ -126,8 +126,7 @@ def make_plan(
     """Compare the recordings with the results that are there.
 
     A recording that has results keeps its name; the others get names that no folder has. Results count when they were
-    made from a file of the same path, size and time of change, with the same settings, be it by an older version of
-    this package. `overwrite` runs the recordings that have results, too.
+    made from the same state of the same file with the same settings, by any version; with `overwrite` none do.
 
     Returns:
         A row per recording by its name, in order, "skipped" or "pending"; those to be run.
