@@ -33,7 +33,7 @@ fuzz: .venv/installed
 
 # 50,000 frames through the whole pipeline, half an hour and more
 soak: .venv/installed
-	$(BIN)/python -m frontend.soak --size 320x240
+	$(BIN)/python -m tests.helpers.soak --size 320x240
 
 # licences of all that an installation needs
 licences: .venv/installed

@@ -1,7 +1,7 @@
 """How fast the whole pipeline is, with and without sinks, in series and overlapped: `python -m frontend.bench`.
 
-The frames are held in memory as JPEG files, so that every run decodes them as it would those of a video, but none waits
-for a disk or for the rendering of the built-in clip. Every run has a process of its own, and the runs take turns.
+Frames are held in memory as JPEG files: every run decodes them, and none waits for a disk or for the rendering of the
+built-in clip. Every run has a process of its own, and the runs take turns.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from airline.command import Parser, exit_code, image_size, number, write_json
 from airline.config import PRESETS, RUNTIMES
@@ -40,9 +40,8 @@ JPEG_QUALITY = 95
 PERIOD_NS = 33_333_333
 LSD_FRAMES = 10
 
-SinkKind = Literal["none", "rerun", "mcap"]
 Figures = dict[str, Any]
-RUNS: dict[str, tuple[SinkKind, bool]] = {
+RUNS = {  # sink, and whether in series
     "fps_serial": ("none", True),
     "fps": ("none", False),
     "fps_rerun_serial": ("rerun", True),
@@ -65,13 +64,7 @@ ROWS = {
 
 @dataclass(frozen=True)
 class ClipSource(Source):
-    """A source that decodes a short clip, forth and back until there are `frame_count` frames.
-
-    Attributes:
-        files: the clip's frames as JPEG files, each with one px size for all.
-        frame_count: how many frames iteration yields.
-        name: of the source.
-    """
+    """Decodes a short clip, JPEG files of one size, forth and back until there are `frame_count` frames."""
 
     files: Sequence[bytes]
     frame_count: int
@@ -95,15 +88,12 @@ def build_parser() -> Parser:
         description="Frames per second and peak memory of the whole pipeline, with and without sinks.",
     )
     parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
-    shown = " ".join(f"{width}x{height}" for width, height in SIZES)
-    parser.add_argument(
-        "--size", nargs="+", type=image_size, default=SIZES, metavar="WxH", help=f"sizes (default: {shown})"
-    )
-    parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--runtime", choices=RUNTIMES, default="auto")
-    parser.add_argument(
-        "--frames", type=number(int, 2), default=150, metavar="N", help="per run (default: %(default)s)"
-    )
+    shown = "sizes (default: " + " ".join(f"{width}x{height}" for width, height in SIZES) + ")"
+    add = parser.add_argument
+    add("--size", nargs="+", type=image_size, default=SIZES, metavar="WxH", help=shown)
+    add("--preset", choices=PRESETS, default="default")
+    add("--runtime", choices=RUNTIMES, default="auto")
+    add("--frames", type=number(int, 2), default=150, metavar="N", help="per run (default: %(default)s)")
     parser.add_json()
     return parser
 
@@ -184,7 +174,7 @@ def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) ->
     }
 
 
-def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -> Figures:
+def one_run(clip: ClipSource, config: RunConfig, kind: str, serial: bool) -> Figures:
     """The summary of one run of `frontend.run`, and its peak memory in MB over that before, with torch imported."""
     import msgspec
     import torch  # noqa: F401  what the memory is counted from
@@ -208,16 +198,15 @@ def one_run(clip: ClipSource, config: RunConfig, kind: SinkKind, serial: bool) -
 
 def time_lsd(clip: ClipSource) -> list[float]:
     """Milliseconds that OpenCV's LSD takes for frames all over the clip."""
-    import cv2
-    import numpy as np
+    from airline.evaluation.benchmark import lsd
+    from airline.image import to_uint8
 
-    detector = cv2.createLineSegmentDetector()
+    detect = lsd()
     spent = []
-    for file in clip.files[:: max(1, len(clip.files) // LSD_FRAMES)]:
-        gray = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert gray is not None
+    for frame in ClipSource(clip.files[:: max(1, len(clip.files) // LSD_FRAMES)], LSD_FRAMES):
+        gray = to_uint8(frame.gray)
         started = time.perf_counter()
-        detector.detect(gray)
+        detect(gray)
         spent.append(1e3 * (time.perf_counter() - started))
     return spent
 

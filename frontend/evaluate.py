@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING
 
 from airline.command import Parser, exit_code, number, write_json
@@ -19,9 +22,13 @@ from frontend.cli.terminal import progress
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from airline.detector import AirLine
+    from airline.lines import LineSet
     from frontend.evaluation.metrics import Figures
     from frontend.evaluation.posed import PosedClip
-    from frontend.evaluation.truth import Clip
+    from frontend.evaluation.truth import Clip, Tracked, Tracker
+    from frontend.frame import Frame
+    from frontend.tracks import LineTracks
 
 LEGEND = """\
 All trackers get the same lines in the same run. A line counts where it is
@@ -102,17 +109,11 @@ def run(options: argparse.Namespace) -> None:
     from rich.console import Console
 
     from airline.detector import AirLine
-    from frontend.evaluation.measure import measure, measure_posed
 
     clips, posed_clips = _chosen(options)
     detect = AirLine()
-    sequences, posed = {}, {}
-    for clip in clips:
-        with progress(clip.name, min(len(clip), options.limit or len(clip))) as tick:
-            sequences[clip.name] = measure(clip, detect, options.limit, tick)
-    for posed_clip in posed_clips:
-        with progress(posed_clip.name, min(len(posed_clip), options.limit or len(posed_clip))) as tick:
-            posed[posed_clip.name] = measure_posed(posed_clip, detect, options.limit, tick)
+    sequences = {clip.name: measure(clip, detect, options.limit) for clip in clips}
+    posed = {clip.name: measure_posed(clip, detect, options.limit) for clip in posed_clips}
     console = Console()
     if sequences:
         console.print(_table("Identities", sequences, IDENTITIES))
@@ -144,6 +145,66 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
         if name not in names:
             raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
     return [clip for clip in clips if clip.name in wanted], [clip for clip in posed if clip.name in wanted]
+
+
+def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, Figures]:
+    """Figures of every tracker on the first `limit` frames of a clip with known identities; all get the same lines.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    from frontend.evaluation.metrics import identity_scores
+    from frontend.evaluation.truth import Record, owners
+
+    trackers = _trackers()
+    records: dict[str, list[Record]] = {name: [] for name in trackers}
+    with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
+        for frame, truth in islice(clip, limit):
+            lines = detect(frame.image)
+            line_owners = owners(lines.segments, truth)
+            height, width = frame.image.shape[:2]
+            for name, tracker in trackers.items():
+                tracked, ms = _timed(tracker, frame, lines)
+                records[name].append(Record(tracked, line_owners, truth, (width, height), ms))
+            advance()
+    return {name: identity_scores(run) for name, run in records.items()}
+
+
+def measure_posed(clip: PosedClip, detect: AirLine, limit: int | None) -> dict[str, Figures]:
+    """The same on a clip with known poses. What is triangulated are the detections, not what a tracker fuses."""
+    from frontend.evaluation.posed import Observation, consistency
+
+    trackers = _trackers()
+    tracks: dict[str, dict[int, list[Observation]]] = {name: {} for name in trackers}
+    times: dict[str, list[float]] = {name: [] for name in trackers}
+    with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
+        for frame in islice(clip, limit):
+            lines = detect(frame.image)
+            for name, tracker in trackers.items():
+                tracked, ms = _timed(tracker, frame, lines)
+                times[name].append(ms)
+                for track, row in zip(tracked.ids.tolist(), tracked.line_indices, strict=True):
+                    seen = Observation(lines.segments[row], clip.poses[frame.index])
+                    tracks[name].setdefault(track, []).append(seen)
+            advance()
+    return {
+        name: {**consistency(list(found.values()), clip.K), "ms": round(median(times[name]), 4)}
+        for name, found in tracks.items()
+    }
+
+
+def _trackers() -> dict[str, Tracker]:
+    from frontend.evaluation.baselines import FlowTracker, NearestTracker
+    from frontend.tracker import LineTracker
+
+    return {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
+
+
+def _timed(tracker: Tracker, frame: Frame, lines: LineSet) -> tuple[Tracked | LineTracks, float]:
+    """A tracker's answer, and the milliseconds it took."""
+    started = time.perf_counter()
+    tracked = tracker.update(frame, lines)
+    return tracked, 1e3 * (time.perf_counter() - started)
 
 
 def _table(title: str, clips: Mapping[str, Mapping[str, Figures]], columns: Mapping[str, Column]) -> Table:

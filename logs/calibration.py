@@ -13,8 +13,7 @@ from itertools import islice, takewhile
 
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
-from frontend.camera.lens import lens
-from frontend.camera.model import CameraModel
+from frontend.camera.model import CameraModel, lens
 from logs.files import LogFile
 from logs.messages.readers import is_calibration_type, read_message
 from logs.messages.types import CameraInfo, UndecodableError

@@ -1,29 +1,30 @@
 """The frontend over many recordings: `python -m frontend.batch 'logs/*.mcap' --out results`.
 
-Each recording is a process of `python -m frontend.run` and gets a folder in the output folder, with its tracks and
-`summary.json`. The folder appears when it is complete, so whatever ends a batch, the same command goes on from there:
-it skips the recordings that have results and runs those that failed or never ran. Recordings that have changed since,
-and all when the settings change, are run again; their earlier results stay until the new ones take their place.
+Each recording is a process of `python -m frontend.run` and gets a folder with its tracks and `summary.json`, which
+appears when it is complete: whatever ends a batch, the same command goes on from there. It skips the recordings that
+have results, unless they or the settings have changed since; earlier results stay until new ones take their place.
 `report.parquet` has a row for each recording.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
+import shutil
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
-from airline.errors import ConfigError
-from frontend.batch.job import Job, JobSettings, Row, WorkerDied, run_recording
+from airline.errors import ConfigError, InputError, from_extra
+from frontend.batch.job import UNFINISHED, Job, JobSettings, Row, WorkerDied, run_recording, write_report
+from frontend.batch.plan import find_recordings, job_settings, make_plan
+from frontend.cli.settings import RunConfig
 from frontend.cli.terminal import progress
-
-if TYPE_CHECKING:
-    from frontend.cli.settings import RunConfig
 
 __all__ = ["BatchInterrupted", "Row", "run_batch"]
 
@@ -70,33 +71,58 @@ def run_batch(
         AirLineError: an input without a recording, an impossible setting, an output that cannot be written.
         BatchInterrupted: Ctrl-C; the report has been written, and what was finished stays.
     """
-    from frontend.batch.plan import REPORT, job_settings, make_plan, reserved, write_report
-    from frontend.batch.recordings import find_recordings
-    from frontend.cli.settings import RunConfig
-
     if workers is not None and (workers < 1 or ray is not None):
         raise ConfigError("the number of workers must be 1 or more, and is for this machine, not for Ray")
     settings = job_settings(config or RunConfig(), write)
-    report = Path(out) / REPORT
-    paths = find_recordings(inputs, Path(out))
-    with reserved(Path(out)):
-        rows, jobs = make_plan(paths, Path(out).absolute(), settings, overwrite=overwrite)
+    out = Path(out).absolute()
+    paths = find_recordings(inputs, out)
+    with reserved(out):
+        rows, jobs = make_plan(paths, out, settings, overwrite=overwrite)
+        executor = _local(workers, len(jobs), settings) if ray is None or not jobs else _on_ray(ray, settings)
         try:
-            with (
-                _executor(workers, ray, settings, len(jobs)) as submit,
-                progress("batch", len(jobs), unit="recordings") as advance,
-            ):
-                write_report(report, rows.values())
+            with executor as submit, progress("batch", len(jobs), unit="recordings") as advance:
+                write_report(out, rows.values())
                 for row in _run_all(jobs, submit):
                     for warning in row.warnings:
                         log.warning("%s", warning if warning.startswith(row.name) else f"{row.name}: {warning}")
                     rows[row.name] = row
-                    write_report(report, rows.values())
+                    write_report(out, rows.values())
                     advance()
         except KeyboardInterrupt:
             log.warning("interrupted: what was finished is kept, and the same command goes on from there")
             raise BatchInterrupted(list(rows.values())) from None
     return list(rows.values())
+
+
+@contextmanager
+def reserved(out: Path) -> Iterator[None]:
+    """The folder of all results, made if need be, for nobody else inside the block, and without unfinished results.
+
+    Raises:
+        InputError: it cannot be made or written, or another batch is writing into it.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = (out / ".lock").open("a")
+    except OSError as error:
+        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
+        except BlockingIOError:
+            raise InputError(f"another batch is writing into '{out}': wait for it, or give another --out") from None
+        except OSError:  # a file system without locks
+            pass
+        _remove_unfinished(out)
+        try:
+            yield
+        finally:
+            _remove_unfinished(out)
+
+
+def _remove_unfinished(out: Path) -> None:
+    for folder in out.glob(f".*{UNFINISHED}*"):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run_all(jobs: Sequence[Job], submit: Submit) -> Iterator[Row]:
@@ -108,8 +134,7 @@ def _run_all(jobs: Sequence[Job], submit: Submit) -> Iterator[Row]:
             try:
                 ended = future.result()
             except Exception as error:  # of Ray: a node that is gone, or one without this package
-                lines = str(error).strip().splitlines()
-                ended = WorkerDied(": ".join(["its worker ended", type(error).__name__, *lines[:1]]).rstrip("."))
+                ended = WorkerDied(f"its worker ended: {_first_line(error)}")
             if isinstance(ended, Row):
                 yield replace(ended, attempts=attempt)
             elif attempt < ATTEMPTS:
@@ -121,14 +146,8 @@ def _run_all(jobs: Sequence[Job], submit: Submit) -> Iterator[Row]:
 
 
 @contextmanager
-def _executor(workers: int | None, ray: str | None, settings: JobSettings, jobs: int) -> Iterator[Submit]:
-    """What starts recordings; at the end of the block, those that still run are ended."""
-    if ray is not None and jobs:
-        from frontend.batch.ray_cluster import on_ray
-
-        with on_ray(ray, settings) as submit:
-            yield submit
-        return
+def _local(workers: int | None, jobs: int, settings: JobSettings) -> Iterator[Submit]:
+    """What starts recordings on this machine; at the end of the block, those that still run are ended."""
     from airline.kernels.threads import cores
 
     count = max(1, min(jobs, workers or cores() // 2))
@@ -141,3 +160,53 @@ def _executor(workers: int | None, ray: str | None, settings: JobSettings, jobs:
         os.close(our_end)
         pool.shutdown(cancel_futures=True)
         os.close(lifeline)
+
+
+@contextmanager
+def _on_ray(address: str, settings: JobSettings) -> Iterator[Submit]:
+    """What starts recordings as Ray's tasks, one CPU each; at the end of the block, those that still run are ended.
+
+    "local" starts Ray for this machine alone; the nodes of a cluster have this package, and inputs and results under
+    the same paths.
+
+    Raises:
+        ConfigError: Ray is not installed.
+        InputError: there is no cluster at that address.
+    """
+    # Ray is told to be quiet and to stay on this machine; what the user has set comes first
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # tasks see the GPU
+    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # a Ray that we start binds to 127.0.0.1
+    with from_extra("fleet"):
+        import ray
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if address == "local":  # with Ray's least object store: rows are all that it carries
+        options |= {"include_dashboard": False, "object_store_memory": 80 * 2**20, "_node_ip_address": "127.0.0.1"}
+    ours = not ray.is_initialized()
+    if ours:
+        try:
+            if address not in ("local", "auto"):  # where nobody answers Ray itself would try for minutes
+                host, _, port = address.removeprefix("ray://").rpartition(":")
+                socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+            ray.init(address, **options)
+        except (ImportError, OSError, OverflowError, RuntimeError, ValueError) as error:
+            addresses = "local, auto, or HOST:PORT or ray://HOST:PORT of a cluster"
+            raise InputError(f"cannot use Ray at '{address}' ({_first_line(error)}): give {addresses}") from None
+    task = ray.remote(num_cpus=1, max_retries=0)(run_recording)  # Ray's retries would go on for ever without memory
+    started = []
+
+    def submit(job: Job) -> Any:
+        started.append(task.remote(job, settings))
+        return started[-1].future()
+
+    try:
+        yield submit
+    finally:
+        for result in started:
+            ray.cancel(result, force=True)  # of no effect on what has ended
+        if ours:
+            ray.shutdown()
+
+
+def _first_line(error: Exception) -> str:
+    return ": ".join([type(error).__name__, *str(error).strip().splitlines()[:1]]).rstrip(".")

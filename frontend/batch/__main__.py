@@ -8,9 +8,10 @@ from pathlib import Path
 
 from airline.command import EXIT_USER_ERROR, Parser
 from airline.errors import AirLineError
-from frontend.batch import BatchInterrupted, run_batch
-from frontend.batch.job import OUTPUTS
+from frontend.batch import BatchInterrupted, Row, run_batch
+from frontend.batch.job import OUTPUTS, REPORT
 from frontend.cli.flags import add_settings, settings_of
+from frontend.cli.settings import load
 from frontend.cli.signals import EXIT_INTERRUPTED, ending_like_interrupts
 from frontend.cli.terminal import set_up_logging
 
@@ -25,27 +26,17 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Exit code: 0, 1 when a recording failed, 2 for errors you can mend, 130 after Ctrl-C.",
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "inputs", nargs="+", metavar="RECORDING", help="videos, logs, bag folders, image folders, and globs of such"
-    )
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of all results")
-    output.add_argument(
-        "--write",
-        nargs="+",
-        default=["parquet"],
-        choices=list(OUTPUTS),
-        metavar="KIND",
-        help=f"what to write for each recording: {', '.join(OUTPUTS)} (default: parquet)",
-    )
-    output.add_argument("--overwrite", action="store_true", help="run recordings that have results, too")
-    where = parser.add_argument_group("where it runs").add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="recordings at once (default: one per two cores)")
-    where.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="on a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT; see docs/batch.md",
-    )
+    recordings = "videos, logs, bag folders, image folders, and globs of such"
+    parser.add_argument("inputs", nargs="+", metavar="RECORDING", help=recordings)
+    add = parser.add_argument_group("output").add_argument
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of all results")
+    kinds = f"what to write for each recording: {', '.join(OUTPUTS)} (default: parquet)"
+    add("--write", nargs="+", default=["parquet"], choices=list(OUTPUTS), metavar="KIND", help=kinds)
+    add("--overwrite", action="store_true", help="run recordings that have results, too")
+    add = parser.add_argument_group("where it runs").add_mutually_exclusive_group().add_argument
+    add("--workers", type=int, metavar="N", help="recordings at once (default: one per two cores)")
+    addresses = "on a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT; see docs/batch.md"
+    add("--ray", metavar="ADDRESS", help=addresses)
     add_settings(parser)
     return parser
 
@@ -55,13 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     set_up_logging(0)
     try:
-        from frontend.batch.plan import REPORT, summary_lines
-        from frontend.cli.settings import load
-
-        config = load(options.config, settings_of(options))
-        names = ("write", "workers", "ray", "overwrite")
-        given = {name: getattr(options, name) for name in names}
-        code = 0
+        code, config = 0, load(options.config, settings_of(options))
+        given = {name: getattr(options, name) for name in ("write", "workers", "ray", "overwrite")}
         try:
             with ending_like_interrupts():
                 rows = run_batch(options.inputs, options.out, config=config, **given)
@@ -74,6 +60,18 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     return code or (EXIT_SOME_FAILED if any(row.status == "failed" for row in rows) else 0)
+
+
+def summary_lines(rows: list[Row]) -> list[str]:
+    """What became of how many recordings, and the reasons of those that failed."""
+    lines = []
+    for status in ("done", "skipped", "failed", "pending"):
+        found = [row for row in rows if row.status == status]
+        if found:
+            sums = (sum(getattr(row, name) or 0 for row in found) for name in ("frames", "tracks", "seconds"))
+            lines.append("{}: {} recordings, {} frames, {} tracks, {:.1f} s".format(status, len(found), *sums))
+    lines += [f"failed {row.name}: {row.reason}" for row in rows if row.status == "failed"]
+    return [line.encode("utf-8", "replace").decode() for line in lines]  # file names may hold bytes that are no text
 
 
 if __name__ == "__main__":

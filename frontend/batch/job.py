@@ -1,21 +1,22 @@
-"""One recording: run the frontend over it, and let its results appear at once or not at all."""
+"""One recording: run the frontend over it, and let its results appear at once or not at all; and what became of it."""
 
 from __future__ import annotations
 
 import json
 import os
-import secrets
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
 
-if TYPE_CHECKING:
-    from frontend.cli.settings import RunConfig
+from airline import __version__
+from airline.errors import InputError
+from frontend.cli.settings import RunConfig, dump
 
 OUTPUTS = {
     "parquet": "tracks.parquet",
@@ -25,9 +26,9 @@ OUTPUTS = {
     "plvins": "plvins.mcap",
     "rrd": "recording.rrd",
 }
+REPORT = "report.parquet"
 SUMMARY = "summary.json"
 UNFINISHED = ".unfinished-"
-FIGURES = ("frames", "skipped_frames", "lines_per_frame", "tracks", "track_length_median", "fps", "seconds")
 MOST_WARNINGS = 20
 
 # `python -m frontend.run`, which ends when nobody holds the other end of its stdin any more: a batch that is killed
@@ -37,6 +38,7 @@ import os, runpy, threading
 threading.Thread(target=lambda: (os.read(0, 1), os._exit(1)), daemon=True).start()
 runpy.run_module("frontend.run", run_name="__main__", alter_sys=True)
 """
+
 
 Status = Literal["done", "skipped", "failed", "pending"]
 
@@ -48,11 +50,13 @@ class JobSettings:
     Attributes:
         config: the run's settings, with absolute file names.
         write: keys of `OUTPUTS`.
+        made_with: all of it that decides the results, as JSON has it.
         cores: how many cores one recording may keep busy.
     """
 
     config: RunConfig
     write: tuple[str, ...]
+    made_with: dict[str, Any]
     cores: int = 1
 
 
@@ -107,53 +111,50 @@ class WorkerDied:
 
 def row_of(job: Job, status: Status, summary: dict[str, Any]) -> Row:
     """The row of a recording that has results, from its summary."""
-    known: dict[str, Any] = {name: summary.get(name) for name in FIGURES}
-    warnings = tuple(summary.get("warnings", ()))
-    return Row(job.name, job.input, status, output=str(job.folder), warnings=warnings, **known)
+    known = {field.name: summary[field.name] for field in fields(Row) if field.name in summary}
+    known["warnings"] = tuple(known.get("warnings", ()))
+    return Row(job.name, job.input, status, output=str(job.folder), **known)
 
 
 def run_recording(job: Job, settings: JobSettings, lifeline: int = subprocess.PIPE) -> Row | WorkerDied:
     """Run one recording in a process of its own; whatever goes wrong becomes the reason why it failed.
 
-    Results are written into a hidden folder beside `job.folder`, which takes its place when they are complete. The
-    process ends when the other end of the pipe `lifeline` is closed, by whom or what ever.
+    Results are made in a hidden folder beside `job.folder`, and take its place when they are complete. The process ends
+    when the other end of the pipe `lifeline` is closed, by whom or what ever.
     """
-    from airline import __version__
-
-    unfinished = job.folder.with_name(f".{job.name}{UNFINISHED}{secrets.token_hex(4)}")
-    earlier = unfinished.with_name(f"{unfinished.name}-earlier")
     started = time.monotonic()
     warnings: tuple[str, ...] = ()
+    hidden, beside = f".{job.name}{UNFINISHED}", job.folder.parent
     try:
-        unfinished.mkdir(parents=True)
-        code, said = _run(job, settings, unfinished, lifeline)
-        warnings = tuple(line[9:] for line in said if line.startswith("WARNING: "))[:MOST_WARNINGS]
-        if code == 0:
-            summary = json.loads((unfinished / SUMMARY).read_text(encoding="utf-8"))
-            summary |= {"seconds": round(time.monotonic() - started, 3), "warnings": warnings}
-            summary |= {"version": __version__, "made_from": job.made_from}
-            (unfinished / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-            if job.folder.exists():
-                job.folder.rename(earlier)  # no finished folder either, should we be killed here
-            unfinished.rename(job.folder)
-            return row_of(job, "done", summary)
-        if code not in (1, 2):
-            return WorkerDied(_end(code))
+        with TemporaryDirectory(prefix=hidden, dir=beside, ignore_cleanup_errors=True) as temporary:
+            results = Path(temporary, "results")
+            results.mkdir()
+            code, said = _run(job, settings, results, lifeline)
+            warnings = tuple(line[9:] for line in said if line.startswith("WARNING: "))[:MOST_WARNINGS]
+            if code == 0:
+                summary = json.loads((results / SUMMARY).read_text(encoding="utf-8"))
+                summary |= {"seconds": round(time.monotonic() - started, 3), "warnings": warnings}
+                summary |= {"version": __version__, "made_from": job.made_from}
+                (results / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+                if job.folder.exists():
+                    job.folder.rename(results.with_name("earlier"))  # never a half-deleted one, should we be killed
+                results.rename(job.folder)
+                return row_of(job, "done", summary)
+        if code < 0:
+            name = signal.Signals(-code).name
+            return WorkerDied(f"its worker was killed by {name}{' (is there enough memory?)' * (name == 'SIGKILL')}")
+        if code > 2:
+            return WorkerDied(f"its worker ended by itself with exit code {code}")
         errors = [line.removeprefix("error: ") for line in said if line.startswith("error: ")]
         reason = (errors or said or ["it ended with exit code 1"])[-1]
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-    finally:
-        for folder in (unfinished, earlier):
-            shutil.rmtree(folder, ignore_errors=True)
     return Row(job.name, job.input, "failed", reason=reason, warnings=warnings)
 
 
 def _run(job: Job, settings: JobSettings, folder: Path, lifeline: int) -> tuple[int, list[str]]:
     """Run until the end; the exit code, and the lines on stderr."""
-    from frontend.cli.settings import dump
-
-    config = folder / "config.toml"
+    config = folder.with_name("config.toml")
     config.write_text(dump(settings.config), encoding="utf-8")
     flags = ["--headless", "--config", str(config), "--summary", str(folder / SUMMARY)]
     for kind in settings.write:
@@ -179,15 +180,27 @@ def _run(job: Job, settings: JobSettings, folder: Path, lifeline: int) -> tuple[
     ) as process:
         assert process.stderr is not None
         said = [line.strip() for line in process.stderr if line.strip()]
-    config.unlink()
     return process.returncode, said
 
 
-def _end(code: int) -> str:
-    if code >= 0:
-        return f"its worker ended by itself with exit code {code}"
+def write_report(out: Path, rows: Collection[Row]) -> None:
+    """Write a row per recording; the file is replaced at once, and complete at any time.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    kinds = {"int": pa.int64(), "float": pa.float64(), "tuple[str, ...]": pa.list_(pa.string())}
+    schema = pa.schema([(f.name, kinds.get(str(f.type).removesuffix(" | None"), pa.string())) for f in fields(Row)])
+    text = json.dumps([asdict(row) for row in rows], ensure_ascii=False)
+    table = json.loads(text.encode("utf-8", "replace"))  # file names may hold bytes that are no text
+    path, unfinished = out / REPORT, out / f".{REPORT}.{os.getpid()}"
     try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    return f"its worker was killed by {name}" + (" (is there enough memory?)" if name == "SIGKILL" else "")
+        pq.write_table(pa.Table.from_pylist(table, schema), unfinished)
+        unfinished.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)

@@ -1,66 +1,88 @@
-"""What there is to do: which recordings have results already; and what became of all, in a Parquet file."""
+"""What there is to do: which recordings are meant, what their results are called, and which have them already."""
 
 from __future__ import annotations
 
-import fcntl
+import glob
+import hashlib
 import json
 import logging
 import os
-import shutil
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
+from natsort import natsorted
 
 from airline.errors import ConfigError, InputError
-from frontend.batch.job import OUTPUTS, SUMMARY, UNFINISHED, Job, JobSettings, Row, Status, row_of
-from frontend.batch.recordings import fingerprint, unique_names
-from frontend.cli.settings import RecordingConfig, RunConfig
+from frontend.batch.job import OUTPUTS, REPORT, SUMMARY, Job, JobSettings, Row, row_of
+from frontend.cli.settings import RunConfig
 
 log = logging.getLogger(__name__)
 
-REPORT = "report.parquet"
-SUMS = ("frames", "tracks", "seconds")
+_LONGEST = 150  # bytes; file systems allow 255, and an unfinished folder's name is longer
 
 
-def make_plan(
-    paths: Sequence[Path], out: Path, settings: JobSettings, *, overwrite: bool
-) -> tuple[dict[str, Row], list[Job]]:
-    """Compare the recordings with the results that are there.
+def find_recordings(patterns: Iterable[str | os.PathLike[str]], out: Path) -> list[Path]:
+    """Absolute paths of the recordings that files, folders and globs name, each once, those of a glob in natural order.
 
-    A recording that has results keeps its name; the others get names that no folder has. Results count when they were
-    made from a file of the same path, size and time of change, with the same settings, be it by an older version of
-    this package. `overwrite` runs the recordings that have results, too.
+    What lies in the folder `out` of the results, or holds it, is no recording.
 
-    Returns:
-        A row per recording by its name, in order, "skipped" or "pending"; those to be run.
+    Raises:
+        InputError: a pattern without a recording.
     """
-    results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
-    for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
-        with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
-            summary = json.loads(file.read_text(encoding="utf-8"))
-            results[summary["made_from"]["input"]["path"]] = file.parent.name, summary
-    new = [path for path in paths if str(path) not in results]
-    names = unique_names(new, taken=[REPORT, *(entry.name for entry in out.iterdir())])
-    made_with = _made_with(settings)
-    rows: dict[str, Row] = {}
-    jobs: list[Job] = []
-    outdated = 0
+    found: dict[Path, None] = {}
+    results = out.resolve()
+    for pattern in patterns:
+        expanded = os.path.expanduser(os.fspath(pattern))  # noqa: PTH111  a quoted pattern comes with its ~
+        matches = [expanded] if os.path.lexists(expanded) else natsorted(glob.glob(expanded, recursive=True))  # noqa: PTH207
+        if not matches:
+            raise InputError(f"there is no recording '{pattern}': give files, folders or globs of recordings")
+        real = {match: Path(match).resolve() for match in matches}
+        kept = [m for m, path in real.items() if not (path.is_relative_to(results) or results.is_relative_to(path))]
+        if not kept:
+            raise InputError(f"'{pattern}' is where the results go: give another --out")
+        found.update(dict.fromkeys(Path(os.path.abspath(match)) for match in kept))  # noqa: PTH100  keeps links
+    return list(found)
+
+
+def fingerprint(path: Path) -> dict[str, int]:
+    """Size in bytes and time of the last change in ns of a file, or of all files in a folder; zeros for none."""
+    files = [path]
+    if path.is_dir():
+        files = [Path(folder, name) for folder, _, names in os.walk(path) for name in names]
+    stats = [file.stat() for file in files if file.exists()]  # a broken link: opening it will tell
+    return {
+        "bytes": sum(stat.st_size for stat in stats),
+        "modified_ns": max((stat.st_mtime_ns for stat in stats), default=0),
+    }
+
+
+def unique_names(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[Path, str]:
+    """A folder name for each recording: as short as is distinct, whatever their order.
+
+    `a/x.mcap` becomes `x`; beside `b/x.mcap` it becomes `a-x`, beside `a/x.bag` `x.mcap`; where both are there it is a
+    digest. Names differ by more than upper and lower case, also from those that are `taken`.
+    """
+    choices = {}
     for path in paths:
-        name, summary = results.get(str(path)) or (names[path], {})
-        job = Job(name, str(path), out / name, {"input": {"path": str(path), **fingerprint(path)}, **made_with})
-        if summary.get("made_from") == job.made_from and not overwrite:
-            rows[name] = row_of(job, "skipped", summary)
-        else:
-            rows[name] = Row(name, str(path), "pending")
-            jobs.append(job)
-            outdated += bool(summary) and not overwrite
-    if outdated:
-        log.warning("running again, as input or settings have changed: %d", outdated)
-    return rows, jobs
+        stem = path.name if path.is_dir() else path.stem
+        joined = ["-".join((*path.parts[-1 - depth : -1], stem)) for depth in range(1, len(path.parts))]
+        # no hidden folder, and only characters that can be printed and stored
+        names = [name.encode("utf-8", "replace").decode().replace("/", "") for name in (stem, *joined, path.name)]
+        names = [name.lstrip(".") or "recording" for name in names if len(name.encode()) <= _LONGEST]
+        choices[path] = [*names, f"recording-{hashlib.sha256(os.fsencode(path)).hexdigest()}"]
+    claims = Counter(key for names in choices.values() for key in set(map(_key, names)))
+    claims.update(2 * [*map(_key, taken)])
+    return {path: next((n for n in names if claims[_key(n)] == 1), names[-1]) for path, names in choices.items()}
+
+
+def _key(name: str) -> str:
+    """What two names have in common that some file system takes for one."""
+    return unicodedata.normalize("NFC", name.casefold())
 
 
 def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
@@ -75,102 +97,60 @@ def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
 
     if not write or not OUTPUTS.keys() >= set(write):
         raise ConfigError(f"cannot write {', '.join(write) or 'nothing'}: choose from {', '.join(OUTPUTS)}")
-    replace = msgspec.structs.replace
-    edges, calib = config.detector.edges, config.input.calib
-    if calib is not None:
-        read_calibration(calib)
-        config = replace(config, input=replace(config.input, calib=str(Path(calib).absolute())))
-    if edges.detector == "unet":
-        load_weights(edges.weights)
-        if edges.weights not in BUNDLED:
-            edges = replace(edges, weights=str(Path(edges.weights).absolute()))
-            config = replace(config, detector=replace(config.detector, edges=edges))
+    values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(config))
+    chosen, edges = values["input"], values["detector"]["edges"]
+    files: dict[str, dict[str, int]] = {}
+
+    def own(table: dict[str, Any], key: str) -> None:
+        table[key] = str(Path(table[key]).absolute())
+        files[table[key]] = fingerprint(Path(table[key]))
+
+    if chosen["calib"] is not None:
+        read_calibration(chosen["calib"])
+        own(chosen, "calib")
+    if edges["detector"] == "unet":
+        load_weights(edges["weights"])
+        if edges["weights"] not in BUNDLED:
+            own(edges, "weights")
     if "rrd" not in write:
-        config = replace(config, recording=RecordingConfig())
-    return JobSettings(config, tuple(dict.fromkeys(write)))
-
-
-@contextmanager
-def reserved(out: Path) -> Iterator[None]:
-    """The folder of all results, made if need be, for nobody else inside the block, and without unfinished results.
-
-    Raises:
-        InputError: it cannot be made or written, or another batch is writing into it.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock = (out / ".lock").open("a")
-    except OSError as error:
-        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
-        except BlockingIOError:
-            raise InputError(f"another batch is writing into '{out}': wait for it, or give another --out") from None
-        except OSError:  # a file system without locks
-            pass
-        _remove_unfinished(out)
-        try:
-            yield
-        finally:
-            _remove_unfinished(out)
-
-
-def _remove_unfinished(out: Path) -> None:
-    for folder in out.glob(f".*{UNFINISHED}*"):
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _made_with(settings: JobSettings) -> dict[str, Any]:
-    """All that decides the results but the input, as JSON gives it back."""
-    values = msgspec.to_builtins(settings.config)
-    del values["serial"], values["input"]["max_latency"]
-    if "rrd" not in settings.write:
         del values["recording"]
-    files = [values["input"]["calib"], values["detector"]["edges"]["weights"]]
-    prints = {file: fingerprint(Path(file)) for file in files if file and os.path.isabs(file)}  # noqa: PTH117
-    made_with = {"settings": values, "files": prints, "write": sorted(settings.write)}
-    return dict(json.loads(json.dumps(made_with)))
+    config = msgspec.convert(values, RunConfig)
+    del values["serial"], chosen["max_latency"]  # of no effect on the results
+    made_with = {"settings": values, "files": files, "write": sorted(write)}
+    return JobSettings(config, tuple(dict.fromkeys(write)), made_with)
 
 
-def write_report(path: Path, rows: Collection[Row]) -> None:
-    """Write a row per recording; the file is replaced at once, and complete at any time.
+def make_plan(
+    paths: Sequence[Path], out: Path, settings: JobSettings, *, overwrite: bool
+) -> tuple[dict[str, Row], list[Job]]:
+    """Compare the recordings with the results that are there.
 
-    Raises:
-        InputError: it cannot be written.
+    A recording that has results keeps its name; the others get names that no folder has. Results count when they were
+    made from the same state of the same file with the same settings, by any version; with `overwrite` none do.
+
+    Returns:
+        A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    text, whole, real = pa.string(), pa.int64(), pa.float64()
-    kinds = dict.fromkeys(("attempts", "frames", "skipped_frames", "tracks"), whole)
-    kinds |= dict.fromkeys(("lines_per_frame", "track_length_median", "fps", "seconds"), real)
-    kinds |= {"warnings": pa.list_(text)}
-    schema = pa.schema([(name, kinds.get(name, text)) for name in Row.__dataclass_fields__])
-    table = [{name: _printable(value) for name, value in asdict(row).items()} for row in rows]
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        pq.write_table(pa.Table.from_pylist(table, schema), unfinished)
-        unfinished.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def summary_lines(rows: Collection[Row]) -> list[str]:
-    """What became of how many recordings, and the reasons of those that failed."""
-    lines = []
-    for status in get_args(Status):
-        found = [row for row in rows if row.status == status]
-        if found:
-            frames, tracks, seconds = (sum(getattr(row, name) or 0 for row in found) for name in SUMS)
-            lines.append(f"{status}: {len(found)} recordings, {frames} frames, {tracks} tracks, {seconds:.1f} s")
-    return lines + [_printable(f"failed {row.name}: {row.reason}") for row in rows if row.status == "failed"]
-
-
-def _printable(value: Any) -> Any:
-    """File names, and what tells of them, may hold bytes that are no text."""
-    if isinstance(value, tuple):
-        return [_printable(entry) for entry in value]
-    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
+    results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
+    for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
+        with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
+            summary = json.loads(file.read_text(encoding="utf-8"))
+            results[summary["made_from"]["input"]["path"]] = file.parent.name, summary
+    new = [path for path in paths if str(path) not in results]
+    names = unique_names(new, taken=[REPORT, *(entry.name for entry in out.iterdir())])
+    rows: dict[str, Row] = {}
+    jobs: list[Job] = []
+    outdated = 0
+    for path in paths:
+        name, summary = results.get(str(path)) or (names[path], {})
+        made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings.made_with}
+        job = Job(name, str(path), out / name, made_from)
+        if summary.get("made_from") == job.made_from and not overwrite:
+            rows[name] = row_of(job, "skipped", summary)
+        else:
+            rows[name] = Row(name, str(path), "pending")
+            jobs.append(job)
+            outdated += bool(summary) and not overwrite
+    if outdated:
+        log.warning("running again, as input or settings have changed: %d", outdated)
+    return rows, jobs

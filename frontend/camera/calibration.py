@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -14,8 +14,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from airline.errors import ConfigError, InputError
-from frontend.camera.lens import lens
-from frontend.camera.model import CameraModel
+from frontend.camera.model import CameraModel, lens
 
 log = logging.getLogger(__name__)
 
@@ -69,37 +68,28 @@ class _Simple(Struct, forbid_unknown_fields=True):
     coefficients: list[_Number] = []
 
 
-def read_calibration(path: str | os.PathLike[str], camera: str | None = None) -> CameraModel:
-    """Read a camera from a calibration file.
-
-    Args:
-        path: the file.
-        camera: which one of several: the name in the file (in Kalibr's "cam1" or its `rostopic`). Without it the first
-            of several is read, with a warning.
+def read_calibration(path: str | os.PathLike[str]) -> CameraModel:
+    """Read a camera from a calibration file, with a warning the first one of several.
 
     Raises:
         InputError: the file cannot be read, or a field is missing or makes no sense.
-        ConfigError: there is no such camera, or its model is not supported.
+        ConfigError: the camera's model is not supported.
     """
     file = Path(path)
     content = _read(file)
     tree = content if isinstance(content, dict) else {}
     chain = {name: entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name)) and isinstance(entry, dict)}
-    if chain:
-        name = _choose(chain, camera, file)
-        return _euroc(chain[name], file, f"{name}.")
-    named = tree.get("camera_name")
-    if camera is not None and camera != str(named):
-        only = "one that has no name" if named is None else f"'{named}'"
-        raise ConfigError(f"'{file}' has no camera '{camera}', its only camera is {only}")
-    if "camera_matrix" in tree:
-        return _ros(tree, file)
-    if "intrinsics" in tree:
-        return _euroc(tree, file)
-    if "fx" in tree:
-        found = _checked(tree, _Simple, file)
-        pinhole = found.fx, found.fy, found.cx, found.cy
-        return _camera(file, (found.width, found.height), pinhole, found.distortion, found.coefficients)
+    try:
+        if chain:
+            name = min(chain, key=lambda name: int(name[3:]))
+            if len(chain) > 1:
+                log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
+            return _euroc(chain[name], f"{name}.")
+        for field, camera_of in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
+            if field in tree:
+                return camera_of(tree)
+    except (ConfigError, InputError) as error:
+        raise type(error)(f"'{file}': {error}") from None
     raise InputError(
         f"'{file}' is no camera calibration: give a EuRoC sensor.yaml, a Kalibr camchain, a ROS camera_info YAML, or "
         'JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, "cy": 239.5}'
@@ -122,54 +112,35 @@ def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
     return camera.scaled(width, height)
 
 
-def _choose(chain: Mapping[str, Mapping[str, Any]], wanted: str | None, file: Path) -> str:
-    if wanted is not None:
-        for name, entry in chain.items():
-            if wanted in (name, entry.get("rostopic")):
-                return name
-        raise ConfigError(f"'{file}' has no camera '{wanted}': it has {', '.join(chain)}")
-    first = min(chain, key=lambda name: int(name[3:]))
-    if len(chain) > 1:
-        log.warning("'%s' holds %s: using %s", file, ", ".join(chain), first)
-    return first
-
-
-def _euroc(tree: Mapping[str, Any], file: Path, prefix: str = "") -> CameraModel:
-    found = _checked(tree, _Euroc, file, prefix)
+def _euroc(tree: Mapping[str, Any], prefix: str = "") -> CameraModel:
+    found = _checked(tree, _Euroc, prefix)
     if found.camera_model != "pinhole":
-        raise ConfigError(
-            f"'{file}': camera model '{found.camera_model[:40]}' is not supported: calibrate with 'pinhole'"
-        )
+        raise ConfigError(f"camera model '{found.camera_model[:40]}' is not supported: calibrate with 'pinhole'")
     coefficients = found.distortion_coefficients if found.distortion_coeffs is None else found.distortion_coeffs
     if coefficients is None and found.distortion_model != "none":
-        raise InputError(f"'{file}': {prefix}distortion_coefficients is missing")
-    return _camera(file, found.resolution, found.intrinsics, found.distortion_model, coefficients or [])
+        raise InputError(f"{prefix}distortion_coefficients is missing")
+    (width, height), (fx, fy, cx, cy) = found.resolution, found.intrinsics
+    return CameraModel(width, height, fx, fy, cx, cy, *lens(found.distortion_model, coefficients or []))
 
 
-def _ros(tree: Mapping[str, Any], file: Path) -> CameraModel:
-    found = _checked(tree, _Ros, file)
-    k = found.camera_matrix
+def _ros(tree: Mapping[str, Any]) -> CameraModel:
+    found = _checked(tree, _Ros)
+    k, model = found.camera_matrix, found.distortion_model
     if k[1] or k[3] or k[6] or k[7] or k[8] != 1:
-        raise InputError(f"'{file}': camera_matrix must be of the form fx 0 cx, 0 fy cy, 0 0 1")
-    model = found.distortion_model
+        raise InputError("camera_matrix must be of the form fx 0 cx, 0 fy cy, 0 0 1")
     if model is None:
         model = "equidistant" if found.fisheye_model else "plumb_bob"
-    size = found.image_width, found.image_height
-    return _camera(file, size, (k[0], k[4], k[2], k[5]), model, found.distortion_coefficients)
+    distortion = lens(model, found.distortion_coefficients)
+    return CameraModel(found.image_width, found.image_height, k[0], k[4], k[2], k[5], *distortion)
 
 
-def _camera(
-    file: Path, size: Sequence[int], pinhole: Sequence[float], model: str, coefficients: list[float]
-) -> CameraModel:
-    """The camera, from its width and height, fx, fy, cx, cy, and distortion."""
-    try:
-        (width, height), (fx, fy, cx, cy) = size, pinhole
-        return CameraModel(width, height, fx, fy, cx, cy, *lens(model, coefficients))
-    except ConfigError as error:
-        raise ConfigError(f"'{file}': {error}") from None
+def _simple(tree: Mapping[str, Any]) -> CameraModel:
+    found = _checked(tree, _Simple)
+    distortion = lens(found.distortion, found.coefficients)
+    return CameraModel(found.width, found.height, found.fx, found.fy, found.cx, found.cy, *distortion)
 
 
-def _checked(tree: Mapping[str, Any], kind: type[T], file: Path, prefix: str = "") -> T:
+def _checked(tree: Mapping[str, Any], kind: type[T], prefix: str = "") -> T:
     """The fields of a mapping; lists may also have OpenCV's form {rows, cols, data}."""
     fields = {name: value.get("data", value) if isinstance(value, dict) else value for name, value in tree.items()}
     try:
@@ -177,7 +148,7 @@ def _checked(tree: Mapping[str, Any], kind: type[T], file: Path, prefix: str = "
     except (msgspec.ValidationError, UnicodeError) as error:  # a lone surrogate
         what, _, where = str(error).partition(" - at `$.")
         place = (prefix + where).rstrip(".`")
-        raise InputError(f"'{file}'{place and ': '}{place}: {what[0].lower()}{what[1:]}") from None
+        raise InputError(f"{place}{place and ': '}{what[0].lower()}{what[1:]}") from None
 
 
 def _read(path: Path) -> Any:

@@ -40,8 +40,7 @@ _PLACES = np.array([-0.5, 0.0, 0.5])  # start, mid-point and end along a line
 class NearestTracker:
     """Each track moves on with its own velocity across the line and takes the nearest line, one to one.
 
-    Along the line its mid-point jumps whenever an end does, so there it moves as most tracks do; and so do new tracks,
-    without which fast motion would leave no track to begin with.
+    Along the line, where its mid-point jumps whenever an end does, it moves as most tracks do, and so do new tracks.
     """
 
     def __init__(self) -> None:
@@ -96,13 +95,15 @@ class _Tracks:
         self._next_id = 0
 
     def update(self, predicted: Segments, lines: Segments) -> Tracked:
-        """Assign the lines to the tracks, end old tracks and begin new ones.
+        """Give lines (M, 2, 2), px, to the tracks, which should be at `predicted` (N, 2, 2); end old, begin new ones.
 
-        Args:
-            predicted: (N, 2, 2) px where each track should be, in the order of `ids`.
-            lines: (M, 2, 2) px.
+        Pairs are one to one, as many as the gates allow, at the least total cost.
         """
-        rows, columns = nearest_pairs(predicted, lines, self._max_distance)
+        forbidden = 1e3 * (self._max_distance + OVERLAP_WORTH)
+        costs = _costs(predicted, lines, self._max_distance, forbidden)
+        rows, columns = linear_sum_assignment(costs)
+        allowed = costs[rows, columns] < forbidden
+        rows, columns = rows[allowed], columns[allowed]
         matched = lines[columns]
         turned = ((matched[:, 1] - matched[:, 0]) * (predicted[rows, 1] - predicted[rows, 0])).sum(axis=1) < 0
         matched[turned] = matched[turned, ::-1]
@@ -119,23 +120,9 @@ class _Tracks:
         return Tracked(self.ids[seen], line_of[seen], self.segments[seen], np.full(int(seen.sum()), -1, np.int64))
 
 
-def nearest_pairs(
-    predicted: Segments, lines: Segments, max_distance: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the one-to-one pairs, as many as the gates allow, whose total cost is least.
-
-    The cost of a pair is the mean distance of the four end points to the other's infinite line, plus what overlap (the
-    share of a line that the other covers along it, mean of both) is missing; distance, overlap and angle have gates.
-    """
-    forbidden = 1e3 * (max_distance + OVERLAP_WORTH)
-    costs = _costs(predicted, lines, max_distance, forbidden)
-    rows, columns = linear_sum_assignment(costs)
-    pairs = costs[rows, columns] < forbidden
-    return rows[pairs], columns[pairs]
-
-
 @njit()
 def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untyped-def]
+    """(N, M) mean distance of the four end points to the other's infinite line, plus the missing share of overlap."""
     costs = np.full((len(predicted), len(lines)), forbidden)
     for i in range(len(predicted)):
         for j in range(len(lines)):

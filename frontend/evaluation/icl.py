@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,7 @@ from airline.errors import InputError
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
+from frontend.sources.reading import Image, decode_image
 
 FRAMES_PER_SECOND = 30
 _CORNER = 0.5  # px: the labels have (0, 0) at the corner of the top-left pixel, we at its centre
@@ -42,16 +42,15 @@ class LabelledClip:
             yield Frame(index, row.stamp_ns, read_image(row.path)), truth
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 BGR.
-
-    Raises:
-        InputError: the file is no image.
-    """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+def read_image(path: Path) -> Image:
+    """(H, W[, 3]) grey or BGR; InputError where there is no image."""
+    try:
+        image = decode_image(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read '{path}': {error}") from error
     if image is None:
-        raise InputError(f"{path} cannot be read as an image: replace or remove it")
-    return np.asarray(image, np.uint8)
+        raise InputError(f"'{path}' is no image that can be read: replace or remove it")
+    return image
 
 
 def read_numbers(path: Path, columns: int, separator: str | None) -> NDArray[np.float64]:

@@ -28,12 +28,13 @@ BORDER = 2.0  # px: a true end point nearer to the image's border is where the i
 def identity_scores(records: Sequence[Record]) -> Figures:
     """All figures of a run, as the command's JSON has them; None where nothing is there to be measured.
 
-    Lengths are numbers of frames in which a track, or a true line, was seen; `alive_5` is the share of the tracks
-    that were seen in 5 frames or more. A fragment's frames are those of the track it is a piece of. A track that jumps
-    from line to line lives long, so `pure_length_mean` counts only the frames of a track on its most usual true line.
+    Lengths are frames in which a track, or a true line, was seen; `alive_5` is the share of tracks seen in 5 or more. A
+    fragment's frames are those of the track it is a piece of. A track that jumps from line to line lives long, so
+    `pure_length_mean` counts only its frames on its most usual true line.
     """
     link, (switches, fragments) = links(records), changes(records)
     lengths, visible = track_lengths(records), _counts([record.detected for record in records])
+    tracks = len(lengths)
     across, along = jitter(records)
     figures: Figures = {
         "link_precision": _ratio(link.right, link.right + link.wrong),
@@ -42,12 +43,12 @@ def identity_scores(records: Sequence[Record]) -> Figures:
         "idf1": idf1(records),
         "switches_per_100": _ratio(100 * switches, len(records)),
         "fragments_per_100": _ratio(100 * fragments, len(records)),
-        "tracks": len(lengths),
-        "track_length_mean": float(lengths.mean()) if len(lengths) else None,
-        "track_length_median": float(np.median(lengths)) if len(lengths) else None,
+        "tracks": tracks,
+        "track_length_mean": float(lengths.mean()) if tracks else None,
+        "track_length_median": float(np.median(lengths)) if tracks else None,
         "pure_length_mean": pure_length(records),
         "visible_length_mean": float(visible.mean()) if len(visible) else None,
-        **{f"alive_{n}": float((lengths >= n).mean()) if len(lengths) else None for n in ALIVE},
+        **{f"alive_{n}": float((lengths >= n).mean()) if tracks else None for n in ALIVE},
         "jitter_across_px": across,
         "jitter_along_px": along,
         "ms": float(np.median([record.ms for record in records])) if records else None,
@@ -93,11 +94,9 @@ def links(records: Sequence[Record]) -> Links:
 def idf1(records: Sequence[Record]) -> float | None:
     """F-score of identities (Ristani et al. 2016): one track for each true line and one true line for each track.
 
-    The truth is every pair of a frame and a true line that is detected in it; the tracker's answer every pair of a
-    frame and a track with a known true line in it. Tracks are mapped to true lines one to one so that most pairs
-    agree. A row with `fragment_of` is an observation of the track it is a piece of: where that track, or another piece
-    of it, already has the true line in the frame, it does not count again. Two tracks on two pieces of one true line
-    that do not say so are two claims, of which one is wrong.
+    The truth is every pair of a frame and a true line detected in it; the answer every pair of a frame and a track with
+    a known true line in it. Tracks are mapped to true lines one to one so that most pairs agree. Known fragments
+    count as their track, once per frame; two tracks on pieces of one true line are two claims, one of them wrong.
 
     Returns:
         2 TP / (truth + answer) in [0, 1]; None where nothing is to be tracked.
@@ -119,7 +118,7 @@ def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
     claims = [np.zeros((0, 3), np.int64)]
     for frame, record in enumerate(records):
         known = record.owners >= 0
-        pairs = np.stack([record.tracked.identities[known], record.owners[known]], axis=1)
+        pairs = np.stack([record.identities[known], record.owners[known]], axis=1)
         claims.append(np.unique(np.insert(pairs, 0, frame, axis=1), axis=0))
     return np.concatenate(claims)
 
@@ -128,9 +127,8 @@ def changes(records: Sequence[Record]) -> tuple[int, int]:
     """Changes of the main track of every true line: the last one if it still has the line, else the longest.
 
     Returns:
-        Switches: the track is another one than in the frame in which the line was last tracked (the mismatches of
-        Bernardin and Stiefelhagen 2008). Fragments: those of them where the line was not tracked in between: it was
-        missed or hidden, and came back under another id.
+        Switches: another track than when the line was last tracked (the mismatches of Bernardin and Stiefelhagen 2008).
+        Fragments: those of them where the line was not tracked in between.
     """
     last: dict[int, tuple[int, int]] = {}  # true line: track, frame
     switches = fragments = 0
@@ -139,7 +137,7 @@ def changes(records: Sequence[Record]) -> tuple[int, int]:
         delta = record.tracked.segments_px[:, 1] - record.tracked.segments_px[:, 0]
         for row in np.argsort(-np.hypot(delta[:, 0], delta[:, 1]), kind="stable"):
             if record.owners[row] >= 0:
-                holders.setdefault(int(record.owners[row]), []).append(int(record.tracked.identities[row]))
+                holders.setdefault(int(record.owners[row]), []).append(int(record.identities[row]))
         for line, tracks in holders.items():
             track, seen = last.get(line, (tracks[0], index))
             if track not in tracks:
@@ -150,10 +148,7 @@ def changes(records: Sequence[Record]) -> tuple[int, int]:
 
 
 def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
-    """(T,) int64 number of frames in which each track was seen, itself or in its fragments, in the order of the ids.
-
-    What was found out to be a fragment counts as one from its beginning.
-    """
+    """(T,) int64 frames in which each track was seen, by id; what becomes a fragment counts as one throughout."""
     whole = {
         track: parent
         for record in records
@@ -179,10 +174,9 @@ def pure_length(records: Sequence[Record]) -> float | None:
 def jitter(records: Sequence[Record]) -> tuple[float | None, float | None]:
     """Root mean square jitter of the end points, px, across and along the true lines; None without any.
 
-    Across: an end point's signed distance to the true line. Along: its place along the true line, from the true end
-    point on its side; only of true lines in one piece, at ends that are not at the image's border. From one frame to
-    the next the two change by the difference of two errors, whose mean square is halved: a constant error or a slow
-    drift adds nothing. Only links with the same true line in both frames count.
+    Across: an end point's signed distance to the true line. Along: its place from the true end point on its side, of
+    true lines in one piece, where that end is not at the image's border. Changes from frame to frame are differences of
+    two errors, so their mean square is halved; constant errors and slow drift add nothing. Only right links count.
     """
     steps = [np.zeros((0, 2, 2))]
     for before, after in pairwise(records):

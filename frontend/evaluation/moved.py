@@ -16,12 +16,11 @@ from airline.errors import InputError
 from airline.evaluation.metrics import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
+from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image
 from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.folder import list_images
-from frontend.sources.reading import decode_image
 
-FRAMES_PER_SECOND = 30
 _VIEW = 0.75  # size of the clip's images over that of the photograph
 _ZOOM = 1.1  # pixels of the view per pixel of the photograph, in the mean
 _SMALLEST = 160  # px; a smaller photograph leaves no room to move in
@@ -41,7 +40,7 @@ class MovedPhoto:
 
     def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
         lines = _detector()(self.photo).segments
-        for i, homography in enumerate(self.homographies()):
+        for i, homography in enumerate(smooth_homographies(self.photo.shape[::-1], self.size, self.frames, self.seed)):
             truth = moved_lines(lines, homography, self.size)
             yield Frame(i, round(i * 1_000_000_000 / FRAMES_PER_SECOND), self._image(homography, i)), truth
 
@@ -50,10 +49,6 @@ class MovedPhoto:
         """(width, height) of the frames, px."""
         height, width = self.photo.shape
         return round(_VIEW * width), round(_VIEW * height)
-
-    def homographies(self) -> NDArray[np.float64]:
-        """(F, 3, 3) float64 frame_from_photo; every frame lies inside the photograph."""
-        return smooth_homographies(self.photo.shape[::-1], self.size, self.frames, self.seed)
 
     def _image(self, homography: NDArray[np.float64], i: int) -> NDArray[np.uint8]:
         """The photograph through the homography, with blur, gamma and noise that change slowly."""
@@ -86,8 +81,6 @@ def smooth_homographies(photo: tuple[int, int], view: tuple[int, int], frames: i
     Args:
         photo: (width, height), px.
         view: likewise, smaller.
-        frames: count.
-        seed: chooses the waves.
 
     Returns:
         (F, 3, 3) float64 view_from_photo, scaled so that no corner of a view leaves the photograph.
@@ -118,10 +111,9 @@ def _homography(photo: tuple[int, int], view: tuple[int, int], wave: NDArray[np.
 
 
 def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], size: tuple[int, int]) -> Truth:
-    """What a view of `size` (width, height), px, shows of the photograph's lines (N, 2, 2).
+    """What a view of `size` (width, height), px, shows of the photograph's lines (N, 2, 2), if it is long enough.
 
-    Those are the parts between the centres of the outermost pixels that are at least as long as a rendered clip's
-    shortest line; ids are rows of `lines`.
+    The view ends at the centres of its outermost pixels; ids are rows of `lines`.
     """
     segments = warp(lines.astype(np.float64), homography)
     start, delta = segments[:, 0], segments[:, 1] - segments[:, 0]
@@ -139,12 +131,7 @@ def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], siz
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
-    try:
-        image = decode_image(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"cannot read '{path}': {error}") from error
-    if image is None:
-        raise InputError(f"'{path}' is no image that can be read: remove it from the folder")
+    image = read_image(path)
     if min(image.shape[:2]) < _SMALLEST:
         size = f"{image.shape[1]}x{image.shape[0]}"
         raise InputError(f"'{path}' has {size} px: a photograph to move needs at least {_SMALLEST}x{_SMALLEST}")

@@ -17,7 +17,9 @@ from frontend.frame import Frame
 from frontend.sources.scene import frame_of
 
 FRAMES = 120
+HOLD = 12  # frames between jumps of the exposure
 EXPOSURES = (0.7, 1.4, 0.7, 0.35)
+LIGHT = CameraEffects()
 DARK = CameraEffects(exposure=0.06, noise_sigma=8.0)
 PERIOD, SPEED, RADIUS = 40, 24.0, 62.0  # of what passes before the camera: frames; px per frame; px, of a disc
 NOISE = 2.5  # grey levels, as the renderer's camera has
@@ -25,20 +27,16 @@ NOISE = 2.5  # grey levels, as the renderer's camera has
 
 @dataclass(frozen=True)
 class SceneClip:
-    """A rendered clip whose camera settings may jump, and something that may pass before the camera.
-
-    Frames are rendered one by one in the caller's thread, so that timings of the tracker are not disturbed.
+    """A rendered clip, in the caller's thread so that the tracker's timings are not disturbed.
 
     Attributes:
         name: as the command line and the JSON name it.
-        takes: sequences that differ in `effects` alone; each is shown for `hold` frames before the next, in turns.
-        hold: frames.
+        takes: clips that differ in `effects` alone, each shown for `HOLD` frames in turns.
         occluded: whether something passes before the camera.
     """
 
     name: str
     takes: tuple[RenderedClip, ...]
-    hold: int = 12
     occluded: bool = False
 
     def __len__(self) -> int:
@@ -49,25 +47,21 @@ class SceneClip:
 
     def at(self, i: int) -> tuple[Frame, Truth]:
         """Frame `i` and its lines; IndexError outside of the clip."""
-        view = self.takes[i // self.hold % len(self.takes)].render(i)
+        view = self.takes[i // HOLD % len(self.takes)].render(i)
         frame, truth = frame_of(i, view), Truth(view.segments_px, view.ids)
         return occlude(frame, truth) if self.occluded else (frame, truth)
 
 
-def _take(
-    kind: str, motion: str, seed: int, frames: int = FRAMES, effects: CameraEffects | None = None
-) -> RenderedClip:
-    """A sequence whose truth has every line a detector might see, so that what may be either of two is known to be."""
-    return RenderedClip(
-        kind, motion, seed, frames, effects=effects or CameraEffects(), min_contrast=1.0, merge_doubles=False
-    )
+def _take(kind: str, motion: str, seed: int, frames: int = FRAMES, effects: CameraEffects = LIGHT) -> RenderedClip:
+    """A clip whose truth has every line a detector might see, so that what may be either of two is known to be."""
+    return RenderedClip(kind, motion, seed, frames, effects=effects, min_contrast=1.0, merge_doubles=False)
 
 
 def rendered_clips() -> list[Clip]:
     """The eight rendered clips, 640x480.
 
-    "fast" turns at up to 1.7 rad/s: the image moves by 18 px per frame in the mean and up to 30 px in its centre, up
-    to 45 px in its corners. "dark" has a sixteenth of the light, which is about a quarter of the grey levels.
+    "fast" turns at up to 1.7 rad/s: 18 px per frame in the mean, up to 30 px in the image's centre and 45 px in its
+    corners. "dark" has a sixteenth of the light, about a quarter of the grey levels.
     """
     jumps = tuple(_take("street", "handheld", 5, effects=CameraEffects(exposure=e)) for e in EXPOSURES)
     return [
@@ -85,8 +79,7 @@ def rendered_clips() -> list[Clip]:
 def occluder_discs(i: int, width: int, height: int) -> NDArray[np.float64]:
     """(D, 2) centres of the discs that hide something in frame `i` of images of width x height px, about 640x480.
 
-    A textured bunch of discs crosses the image once every 40 frames, from the left and right in turns; it is 4.2 radii
-    wide and 6.8 radii high. Its outline is round everywhere, so that it brings no straight line of its own.
+    A bunch of discs, without any straight line, crosses the image every 40 frames, from the left and right in turns.
     """
     crossing, t = divmod(i, PERIOD)
     rng = np.random.default_rng([0, crossing])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from frontend.frame import Frame
+from frontend.tracks import LineTracks
 
 UNKNOWN = -1
 AMBIGUOUS = -2
@@ -38,10 +39,7 @@ class Truth:
 
 
 class Clip(Protocol):
-    """A short stream with known identities, by the name that the command line and the JSON give it.
-
-    Iterating twice gives the same frames.
-    """
+    """A short stream with known identities, the same each time, by the name that the table and the JSON give it."""
 
     @property
     def name(self) -> str: ...
@@ -53,7 +51,7 @@ class Clip(Protocol):
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker says of one frame. Row k of every array speaks of the same track.
+    """What of `LineTracks` is measured. Row k of every array speaks of the same track.
 
     Attributes:
         ids: (N,) int64 track ids, no two alike.
@@ -67,18 +65,11 @@ class Tracked:
     segments_px: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
 
-    @property
-    def identities(self) -> NDArray[np.int64]:
-        """(N,) int64 the track each row is an observation of: for a fragment the one it is a piece of."""
-        return np.where(self.fragment_of >= 0, self.fragment_of, self.ids)
-
 
 class Tracker(Protocol):
-    """Anything that tracks lines."""
+    """Takes the lines of one frame after the other."""
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked:
-        """Take the lines of the next frame."""
-        ...
+    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks: ...
 
 
 @dataclass(frozen=True)
@@ -93,7 +84,7 @@ class Record:
         ms: time of the tracker's update.
     """
 
-    tracked: Tracked
+    tracked: Tracked | LineTracks
     line_owners: NDArray[np.int64]
     truth: Truth
     size: tuple[int, int]
@@ -103,6 +94,11 @@ class Record:
     def owners(self) -> NDArray[np.int64]:
         """(N,) int64 true line of every track."""
         return self.line_owners[self.tracked.line_indices]
+
+    @property
+    def identities(self) -> NDArray[np.int64]:
+        """(N,) int64 the track each row is an observation of: for a fragment the one it is a piece of."""
+        return np.where(self.tracked.fragment_of >= 0, self.tracked.fragment_of, self.tracked.ids)
 
     @cached_property
     def detected(self) -> NDArray[np.int64]:
@@ -114,11 +110,10 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
     """The true line that each detected line belongs to.
 
     A piece of a true line speaks for a detected line if the angle between them is at most 5 degrees, or for lines
-    under 23 px what turns their ends aside by 1 px. Measured across the detected line, over the part that both have
-    in common, their mean distance is that of the piece; that of a true line is the mean of its pieces'. The detected
-    line belongs to the nearest true line that is at most 1.25 px away and whose pieces cover half of it. It is
-    ambiguous when another true line that covers a quarter of it is nearer, or less than 1 px farther away: two lines
-    side by side, or end to end. Several detected lines may belong to one true line: it broke.
+    under 23 px what turns their ends aside by 1 px. Its distance is the mean across the detected line, over the part
+    that both have in common; that of a true line is the mean of its pieces'. The detected line belongs to the nearest
+    true line that is at most 1.25 px away and whose pieces cover half of it. It is ambiguous when another that covers
+    a quarter of it is nearer, or less than 1 px farther away. Several may belong to one true line: it broke.
 
     Args:
         detected: (N, 2, 2) px.
@@ -128,9 +123,7 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
         (N,) int64 ids of true lines, -1 where there is none, -2 where it is ambiguous.
     """
     ids, line_of_piece = np.unique(truth.ids, return_inverse=True)
-    lines: NDArray[np.int64] = _owners(
-        np.asarray(detected, np.float64), np.asarray(truth.segments_px, np.float64), line_of_piece, len(ids)
-    )
+    lines = _owners(detected.astype(np.float64), truth.segments_px.astype(np.float64), line_of_piece, len(ids))
     return np.where(lines >= 0, ids[lines] if len(ids) else UNKNOWN, lines)
 
 

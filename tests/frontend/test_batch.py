@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 
 from airline.errors import AirLineError, InputError
 from frontend.batch import job as jobs
-from frontend.batch import run_batch
+from frontend.batch import reserved, run_batch
 from frontend.batch.__main__ import main
-from frontend.batch.job import FIGURES, OUTPUTS
-from frontend.batch.plan import job_settings, make_plan, reserved
-from frontend.batch.recordings import find_recordings, fingerprint, unique_names
+from frontend.batch.job import OUTPUTS
+from frontend.batch.plan import find_recordings, fingerprint, job_settings, make_plan, unique_names
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
@@ -28,6 +27,7 @@ from tests.helpers.command import Outcome, command
 FRAMES = 8
 GOOD = {f"log{number}" for number in range(3)}
 BROKEN = {"cut", "empty", "no_camera"}
+FIGURES = ("frames", "skipped_frames", "lines_per_frame", "tracks", "track_length_median", "fps", "seconds")
 
 
 def batch(*arguments: object) -> Outcome:

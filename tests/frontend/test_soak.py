@@ -1,4 +1,4 @@
-"""`python -m frontend.soak` in short, and that it sees what a long run must not do."""
+"""`python -m tests.helpers.soak` in short, and that it sees what a long run must not do."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frontend import soak
-from frontend.soak import Endurance, trend
+from tests.helpers import soak
 from tests.helpers.made_tracks import made_tracks, result_of
+from tests.helpers.soak import Endurance, trend
 
 
 def test_a_short_soak_holds_out(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

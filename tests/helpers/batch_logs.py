@@ -49,11 +49,11 @@ def unfinished_pid(out: Path, name: str, seen: Collection[int] = ()) -> int:
     """The process that is in the middle of a recording; waits for one that has not been seen."""
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
-        for journal in out.glob(f".{name}.unfinished-*/tracks.parquet.unfinished"):
+        for journal in out.glob(f".{name}.unfinished-*/results/tracks.parquet.unfinished"):
             for process in Path("/proc").glob("[0-9]*"):
                 with suppress(OSError):  # it has ended
                     command = (process / "cmdline").read_text(errors="replace")
-                    if journal.parent.name in command and int(process.name) not in seen:
+                    if journal.parents[1].name in command and int(process.name) not in seen:
                         return int(process.name)
         time.sleep(0.02)
     raise TimeoutError(f"{name} is not being run")

@@ -1,4 +1,4 @@
-"""Does it hold out? `python -m frontend.soak` runs a clip over and over, and watches memory, time, order and ids.
+"""Does it hold out? `python -m tests.helpers.soak` runs a clip over and over, and watches memory, time, order and ids.
 
 The whole pipeline runs, with tracks into MCAP and everything into Rerun. Both recordings begin anew every so many
 frames, in a few files that are overwritten in turn, so that a run of any length needs little room; every finished MCAP
@@ -192,7 +192,7 @@ class Turns:
 def build_parser() -> Parser:
     """All arguments."""
     parser = Parser(
-        prog="python -m frontend.soak",
+        prog="python -m tests.helpers.soak",
         description="Run a clip over and over through the whole pipeline; exit code 1 if anything grows or goes wrong.",
     )
     parser.add_argument("input", nargs="?", help="whatever frontend.run takes (default: the built-in clip)")
