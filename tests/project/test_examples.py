@@ -18,15 +18,16 @@ from airline.network.weights import load_unet
 from airline.scenes import RenderedClip
 from logs import read_tracks
 from tests.helpers.batch_logs import camera_log
+from tests.helpers.pages import ROOT
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("[0-9]*.py"))
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
 def example(stem: str, folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
     """An example, run in a folder, where its temporary files go too."""
     (path,) = (path for path in EXAMPLES if path.stem == stem)
     command = [sys.executable, path, *map(str, arguments)]
-    environment = {**os.environ, "TMPDIR": str(folder)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 
