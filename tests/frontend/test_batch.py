@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
-from concurrent.futures import Future
+import unicodedata
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from airline.errors import AirLineError
-from frontend import batch as batches
+from airline.errors import AirLineError, InputError
 from frontend.batch import job as jobs
 from frontend.batch import run_batch
 from frontend.batch.__main__ import main
-from frontend.batch.job import FIGURES, OUTPUTS, Job, JobSettings, Row, WorkerDied, run_recording
+from frontend.batch.job import FIGURES, OUTPUTS
 from frontend.batch.plan import job_settings, make_plan, reserved
+from frontend.batch.recordings import find_recordings, fingerprint, unique_names
 from frontend.cli.settings import RunConfig
 from tests.helpers.batch_logs import camera_log, report_of, visible
 from tests.helpers.camera_logs import text, write_log
-from tests.helpers.command import ROOT, Outcome, command
+from tests.helpers.command import Outcome, command
 
 FRAMES = 8
 GOOD = {f"log{number}" for number in range(3)}
@@ -154,58 +154,22 @@ def test_recordings_keep_the_names_of_their_results(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("process", "reason"),
+    ("process", "reason", "attempts"),
     [
-        (
-            "print('WARNING: odd', file=sys.stderr); raise ZeroDivisionError('first')",
-            "ZeroDivisionError: first",
-        ),
-        ("sys.exit(1)", "exit code 1"),
-        ("os._exit(3)", WorkerDied("its worker ended by itself with exit code 3")),
-        ("os.kill(os.getpid(), 11)", WorkerDied("its worker was killed by SIGSEGV")),
-        ("os.kill(os.getpid(), 9)", WorkerDied("its worker was killed by SIGKILL (is there enough memory?)")),
+        ("print('WARNING: odd', file=sys.stderr); raise ZeroDivisionError('first')", "ZeroDivisionError: first", 1),
+        ("sys.exit(1)", "it ended with exit code 1", 1),
+        ("os._exit(3)", "its worker ended by itself with exit code 3, 3 times", 3),
+        ("os.kill(os.getpid(), 9)", "its worker was killed by SIGKILL (is there enough memory?), 3 times", 3),
     ],
 )
-def test_the_end_of_a_process_is_the_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process: str, reason: str | WorkerDied
-) -> None:
+def test_the_end_of_a_process_is_the_reason(tmp_path, monkeypatch, caplog, process, reason, attempts):
     monkeypatch.setattr(jobs, "_RUN", f"import os, sys; {process}")
-    ended = run_recording(Job("a", "/a.mcap", tmp_path / "a", {}), JobSettings(RunConfig(), ("parquet",)))
-    if isinstance(reason, WorkerDied):
-        assert ended == reason
-    else:
-        assert isinstance(ended, Row)
-        assert ended.status == "failed"
-        assert reason in str(ended.reason)
-        assert ended.warnings == (("odd",) if "odd" in process else ())
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_recording_whose_worker_dies_is_tried_three_times(caplog: pytest.LogCaptureFixture) -> None:
-    started: list[str] = []
-
-    def submit(job: Job) -> Future[Row | WorkerDied]:
-        started.append(job.name)
-        future: Future[Row | WorkerDied] = Future()
-        if job.name == "always" or (job.name == "once" and started.count("once") == 1):
-            future.set_result(WorkerDied("its worker fell asleep"))
-        elif job.name == "raises":
-            future.set_exception(ModuleNotFoundError("No module named 'frontend'"))
-        else:
-            future.set_result(Row(job.name, job.input, "done"))
-        return future
-
-    names = ["always", "once", "raises", "good"]
-    rows = {row.name: row for row in batches._run_all([Job(name, "", Path(name), {}) for name in names], submit)}
-    assert {name: (row.status, row.attempts) for name, row in rows.items()} == {
-        "always": ("failed", 3),
-        "once": ("done", 2),
-        "raises": ("failed", 3),
-        "good": ("done", 1),
-    }
-    assert rows["always"].reason == "its worker fell asleep, 3 times"
-    assert "No module named 'frontend', 3 times" in str(rows["raises"].reason)
-    assert "once: its worker fell asleep; it will be run again" in caplog.text
+    (tmp_path / "a.mcap").write_bytes(b"")
+    (row,) = run_batch([tmp_path / "a.mcap"], tmp_path / "out")
+    assert (row.status, row.reason, row.attempts) == ("failed", reason, attempts)
+    assert row.warnings == (("odd",) if "odd" in process else ())
+    assert caplog.text.count("it will be run again") == attempts - 1
+    assert not visible(tmp_path / "out")
 
 
 def test_two_batches_do_not_write_into_one_folder(tmp_path: Path) -> None:
@@ -217,38 +181,6 @@ def test_two_batches_do_not_write_into_one_folder(tmp_path: Path) -> None:
     assert batch(tmp_path / "log.mcap", "--out", out).code == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["none/*.mcap", "--out", "out"], "'none/*.mcap'"),
-        (["log.mcap", "--out", "log.mcap"], "log.mcap"),
-        (["log.mcap", "--out", "file/out"], "file/out"),
-        (["log.mcap"], "--out"),
-        (["--out", "out"], "RECORDING"),
-        (["log.mcap", "--out", "out", "--workers", "0"], "workers"),
-        (["log.mcap", "--out", "out", "--workers", "1", "--ray", "auto"], "--ray"),
-        (["log.mcap", "--out", "out", "--write", "pdf"], "pdf"),
-        (["log.mcap", "--out", "out", "--stride", "0"], "stride"),
-        (["log.mcap", "--out", "out", "--calib", "none.yaml"], "none.yaml"),
-        (["log.mcap", "--out", "out", "--weights", "none.safetensors"], "none.safetensors"),
-        (["log.mcap", "--out", "out", "--ray", "nonsense"], "nonsense"),
-        (["log.mcap", "--out", "out", "--ray", "127.0.0.1:1"], "127.0.0.1:1"),
-    ],
-)
-def test_user_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("log.mcap").write_bytes(b"")
-    Path("file").write_bytes(b"")
-    if "--ray" in arguments:
-        pytest.importorskip("ray", reason="Ray is not installed")
-    outcome = batch(*arguments)
-    assert outcome.code == 2
-    assert outcome.err.startswith("error: ")
-    assert words in outcome.err
-    assert outcome.err.count("\n") == 1
-    assert not Path("out/report.parquet").exists()
-
-
 def test_without_ray_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     (tmp_path / "log.mcap").write_bytes(b"")
@@ -256,11 +188,83 @@ def test_without_ray_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest
         run_batch([tmp_path / "log.mcap"], tmp_path / "out", ray="auto")
 
 
-def test_help_needs_none_of_the_heavy_packages() -> None:
-    start = "import sys; from frontend.batch.__main__ import main\n"
-    start += "try: main(['--help'])\nexcept SystemExit: print(*sys.modules)"
-    environment: dict[str, Any] = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", start], env=environment, capture_output=True, text=True, check=True)
-    assert "--ray" in done.stdout
-    loaded = set(done.stdout.splitlines()[-1].split())
-    assert not loaded & {"torch", "openvino", "rerun", "ray", "pyarrow", "numba", "numpy", "cv2", "rich"}
+PART = st.sampled_from(["a", "A", "b", "a-b", "ä", "a\u0308", ".x", "x", "x" * 140, "\udcff", "report"])
+SUFFIX = st.sampled_from(["", ".mcap", ".bag", ".mp4", ".tar.gz"])
+PATH = st.builds(lambda above, name, suffix: Path("/", *above, name + suffix), st.lists(PART, max_size=3), PART, SUFFIX)
+PATHS = st.lists(PATH, unique=True, max_size=12)
+
+
+def key(name: str) -> str:
+    return unicodedata.normalize("NFC", name.casefold())
+
+
+@given(PATHS, st.lists(PART, max_size=5), st.randoms())
+def test_names_are_distinct_and_do_not_depend_on_the_order(paths, taken, random):
+    names = unique_names(paths, taken)
+    assert set(names) == set(paths)
+    keys = {key(name) for name in names.values()}
+    assert len(keys) == len(paths)
+    assert not keys & set(map(key, taken))
+    for name in names.values():
+        assert "/" not in name
+        assert not name.startswith(".")
+        assert 0 < len(name.encode()) <= 150
+    random.shuffle(paths)
+    assert unique_names(paths, taken) == names
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/d/x.mcap", "/d/y.mcap"], ["x", "y"]),
+        (["/d/x.mcap", "/d/x.bag"], ["x.mcap", "x.bag"]),
+        (["/a/x.mcap", "/b/x.mcap", "/b/y.mcap"], ["a-x", "b-x", "y"]),
+        (["/a/left/x.mcap", "/b/left/x.mcap"], ["a-left-x", "b-left-x"]),
+        (["/d/X.mcap", "/e/x.mcap"], ["d-X", "e-x"]),
+        (["/d/taken.mcap"], ["d-taken"]),
+    ],
+)
+def test_names_are_short(paths: list[str], names: list[str]) -> None:
+    assert list(unique_names(map(Path, paths), ["taken"]).values()) == names
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    for name in ("img10.mcap", "img2.mcap", "deep/er/x.mcap", "out/img2/tracks.mcap", "[1].bag"):
+        path = tmp_path / "logs" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"log")
+    return tmp_path / "logs"
+
+
+def found(files: Path, *patterns: str) -> list[str]:
+    paths = find_recordings([files / pattern for pattern in patterns], files / "out")
+    return [str(path.relative_to(files)) for path in paths]
+
+
+def test_globs_are_expanded_in_natural_order_each_recording_once_and_without_the_results(files: Path) -> None:
+    assert found(files, "*.mcap") == ["img2.mcap", "img10.mcap"]
+    assert found(files, "**/*.mcap") == ["deep/er/x.mcap", "img2.mcap", "img10.mcap"]
+    assert found(files, "*") == ["[1].bag", "deep", "img2.mcap", "img10.mcap"]
+    assert found(files, "img10.mcap", "*.mcap", "deep/../img2.mcap") == ["img10.mcap", "img2.mcap"]
+    assert found(files, "[1].bag") == ["[1].bag"]
+
+
+def test_relative_paths_and_home(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(files)
+    monkeypatch.setenv("HOME", str(files))
+    assert find_recordings(["img2.mcap", "~/img10.*"], Path("out")) == [files / "img2.mcap", files / "img10.mcap"]
+
+
+@pytest.mark.parametrize("pattern", ["*.mp4", "none.mcap", "out/**/*.mcap", "out", "."])
+def test_a_pattern_without_a_recording_is_an_error(files: Path, pattern: str) -> None:
+    with pytest.raises(InputError):
+        found(files, "img2.mcap", pattern)
+
+
+def test_fingerprint_changes_with_the_files(files: Path) -> None:
+    before = fingerprint(files)
+    assert before["bytes"] == 15
+    (files / "deep/er/x.mcap").write_bytes(b"longer")
+    assert fingerprint(files)["bytes"] == 18
+    assert fingerprint(files / "none") == {"bytes": 0, "modified_ns": 0}

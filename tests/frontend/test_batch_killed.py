@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import signal
 import subprocess
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.batch_logs import camera_log, long_folder, report_of, unfinished_pid, visible
-from tests.helpers.command import python, read_screen
+from tests.helpers.command import python
 
 LONG_FRAMES = 250
 
@@ -96,14 +95,35 @@ def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp
     assert rows["b"]["frames"] == LONG_FRAMES
 
 
-def test_progress_bar_shows_in_a_terminal(tmp_path: Path) -> None:
-    broken = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
-    for path in broken:
-        path.write_bytes(b"")
-    control, terminal = pty.openpty()
-    child = start(broken, tmp_path / "out", stdout=subprocess.DEVNULL, stderr=terminal)
-    os.close(terminal)
-    screen = read_screen(control)
-    assert child.wait() == 1
-    assert "2/2" in screen
-    assert "recordings/s" in screen
+def test_on_ray_killed_workers_cost_no_recording(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One recording loses its worker once, another one always; Ray runs in the batch's process tree alone."""
+    pytest.importorskip("ray", reason="Ray is not installed")
+    monkeypatch.setenv("HOME", str(tmp_path))  # Ray keeps a token there
+    logs = [camera_log(tmp_path / f"{name}.mcap", clip) for name in "abcd"]
+    (tmp_path / "d.mcap").write_bytes(b"broken")
+    once, always = long_folder(tmp_path / "once", clip), long_folder(tmp_path / "always", clip, frames=4000)
+    out = tmp_path / "out"
+    arguments = [once, always, *logs, "--out", out, "--ray", "local"]
+    child = python(*arguments, module="frontend.batch", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        os.kill(unfinished_pid(out, "once"), signal.SIGKILL)
+        seen: set[int] = set()
+        for _ in range(3):
+            pid = unfinished_pid(out, "always", seen)
+            seen.add(pid)
+            os.kill(pid, signal.SIGKILL)
+        shown, err = child.communicate(timeout=120)
+    finally:
+        child.kill()
+    assert child.returncode == 1, err
+    rows = report_of(out)
+    assert {name: row["status"] for name, row in rows.items()} == {
+        **dict.fromkeys(("a", "b", "c", "once"), "done"),
+        **dict.fromkeys(("always", "d"), "failed"),
+    }
+    assert (rows["once"]["attempts"], rows["always"]["attempts"], rows["d"]["attempts"]) == (2, 3, 1)
+    assert "worker" in rows["always"]["reason"]
+    assert rows["once"]["frames"] == 250
+    assert visible(out) == {"a", "b", "c", "once"}
+    assert not list(out.glob(".*.unfinished-*"))
+    assert "failed always: " in shown

@@ -9,10 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from airline.errors import AirLineError, ConfigError, InputError
+from airline.errors import ConfigError, InputError
 from frontend.camera.calibration import fit_camera, read_calibration
 from frontend.camera.model import CameraModel
 
@@ -35,8 +33,6 @@ distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
 
 KALIBR = """\
 cam0:
-  T_cam_imu:
-  - [-0.9995250378696743, 0.029615343885863205, -0.008522328211654736, 0.04727988224914392]
   cam_overlaps: [1]
   camera_model: pinhole
   distortion_coeffs: [0.0034823894022493434, 0.0007150348452162257, -0.0020532361418706202, 0.00020293673591811182]
@@ -184,34 +180,23 @@ def test_json(tmp_path: Path) -> None:
         (EUROC, "458.654", "-458.654", "focal lengths must be positive"),
         (EUROC, "458.654", "1" * 5000, "not valid YAML: .* 5000 digits"),
         (EUROC, "[752, 480]", "[752.5, 480]", r"resolution\[0\]: expected `int`"),
-        (EUROC, "[752, 480]", "[0, 480]", r"resolution\[0\]: expected `int` >= 1"),
-        (EUROC, "[752, 480]", "", "resolution: expected `array`"),
         (EUROC, "resolution:", "size:", "missing required field `resolution`"),
-        (EUROC, "radial-tangential", "[a]", "distortion_model: expected `str`"),
         (EUROC, "0.07395907, ", "", "takes 4 or 5 or 8 coefficients, not 3"),
         (EUROC, "distortion_coefficients", "coefficients", "distortion_coefficients is missing"),
         (KALIBR, "camera_model: pinhole", "camera_model: omni", "camera model 'omni' is not supported"),
         (KALIBR, "equidistant", "fov", "distortion model 'fov' is not supported"),
-        (KALIBR, "resolution: [512, 512]", "resolution: [512]", r"cam0\.resolution: expected `array` of length >= 2"),
         (ROS, "438.783367, 0.000000", "438.783367, 0.5", "camera_matrix must be of the form"),
-        (ROS, "438.783367", "0", "focal lengths must be positive"),
         (ROS, "image_width: 640\n", "", "missing required field `image_width`"),
-        (ROS, "[-0.361976", "[[-0.361976]", r"distortion_coefficients\[0\]: expected `float`"),
         (JSON, '"fx": 500', '"fx": true', "fx: expected `float`"),
         (JSON, '"fx": 500', '"fx": NaN', "fx: expected `float`"),
         (JSON, '"fy": 501.5', '"focal": 501.5', "contains unknown field `focal`"),
-        (JSON, '"cy": 2.395e2,', "", "missing required field `cy`"),
         (JSON, "640,", "640", "not valid JSON"),
-        (JSON, "equidistant", "barrel", "distortion model 'barrel' is not supported"),
         (EUROC, "rate_hz: 20", "rate_hz: &a 20", "has the YAML anchor 'a'"),
-        (EUROC, "rate_hz: 20", "rate_hz: *a", "has the YAML anchor 'a'"),
         (EUROC, "rate_hz: 20", "rate_hz: 20\nrate_hz: 30", r"in line \d+: found duplicate key .rate_hz."),
         (EUROC, "rate_hz: 20", "? [a]\n: 20", "expected `str` - at `key`"),
         (EUROC, "[752, 480]", "[752, 480", "not valid YAML in line"),
         (EUROC, "20", "[" * 40 + "]" * 40, "nested deeper"),
         (EUROC, EUROC, "", "is no camera calibration"),
-        (EUROC, EUROC, "- a\n- b\n", "is no camera calibration"),
-        (EUROC, EUROC, "fps: 30\n", "is no camera calibration"),
         (EUROC, "20", "x" * 300_000, "longer than the 256 KB"),
     ],
 )
@@ -226,14 +211,8 @@ def test_mistakes_are_named(tmp_path: Path, text: str, old: str, new: str, messa
 
 def test_a_file_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    names = {
-        "missing.yaml": "cannot read",
-        ".": "cannot read",
-        "picture.png": "not a text file",
-        "nul\0": "cannot read",
-    }
-    for name, message in names.items():
-        with pytest.raises(InputError, match=message):
+    for name in ("missing.yaml", ".", "nul\0", "picture.png"):
+        with pytest.raises(InputError, match="not a text file" if name == "picture.png" else "cannot read"):
             read_calibration(tmp_path / name)
 
 
@@ -248,26 +227,3 @@ def test_a_camera_for_other_sizes(tmp_path: Path) -> None:
         fit_camera(camera, 640, 480)
     with pytest.raises(InputError, match="480x752"):
         fit_camera(camera, 480, 752)
-
-
-scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
-trees = st.recursive(
-    scalars,
-    lambda kids: st.lists(kids, max_size=9) | st.dictionaries(st.text(max_size=5), kids, max_size=3),
-    max_leaves=12,
-)
-FIELDS = [line.partition(":")[0].strip() for text in (EUROC, KALIBR, ROS) for line in text.splitlines() if ":" in line]
-NAMES = st.sampled_from([*FIELDS, *json.loads(JSON)])
-
-
-@given(st.dictionaries(NAMES, trees | st.dictionaries(NAMES, trees, max_size=6), min_size=1, max_size=8))
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_arbitrary_values_never_raise_anything_else(tmp_path: Path, tree: dict[str, object]) -> None:
-    text = json.dumps(tree)
-    for written in (text, "---\n" + text):  # the second is read as YAML
-        try:
-            camera = read_calibration(save(tmp_path, written))
-        except AirLineError as error:
-            assert "calib.yaml" in str(error)  # noqa: PT017
-        else:
-            assert camera.fx > 0

@@ -69,9 +69,7 @@ def test_the_plane_survives_the_round_trip_and_agrees_with_opencv(lens: str, poi
     y=st.floats(-1.5, 1.5),
 )
 @settings(max_examples=300, deadline=None)
-def test_radial_tangential_is_inverted_or_refused(
-    k1: float, k2: float, p1: float, p2: float, k3: float, x: float, y: float
-) -> None:
+def test_radial_tangential_is_inverted_or_refused(k1, k2, p1, p2, k3, x, y):
     model = CameraModel(640, 480, 400, 400, 320, 240, "radial-tangential", np.array([k1, k2, p1, p2, k3]))
     plane = np.array([x, y])
     pixel = model.project(plane)

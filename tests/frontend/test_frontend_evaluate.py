@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -17,10 +12,7 @@ from airline.errors import InputError
 from frontend.evaluate import main
 from frontend.evaluation.icl import LabelledClip, read_numbers
 from frontend.evaluation.posed import PosedClip
-from tests.helpers.command import ROOT, command
 from tests.helpers.data_sets import write_labelled, write_posed
-
-DATA = ROOT.parent / "shared" / "data"
 
 
 @pytest.fixture
@@ -57,43 +49,27 @@ def test_number_files(tmp_path: Path) -> None:
             read_numbers(path, 2, None)
 
 
-def _remove(name: str) -> Callable[[Path], None]:
-    return lambda folder: shutil.rmtree(folder / name) if (folder / name).is_dir() else (folder / name).unlink()
+DAMAGE = [  # the text in place of a file, None to remove it
+    (LabelledClip, "associations/0_1.csv", None, "no file"),
+    (LabelledClip, "lines/1.csv", None, "no file"),
+    (LabelledClip, "lines/1.csv", "1,2,3\n", "4 numbers"),
+    (LabelledClip, "associations/0_1.csv", "0,7\n", "rows of the line files"),
+    (LabelledClip, "associations/0_1.csv", "0,0\n0,1\n", "each once"),
+    (PosedClip, "poses.txt", None, "no file"),
+    (PosedClip, "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "6 images and 1 poses"),
+    (PosedClip, "calib.txt", "\n", "empty"),
+]
 
 
-def _write(name: str, text: str) -> Callable[[Path], object]:
-    return lambda folder: (folder / name).write_text(text)
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (_remove("associations"), "no file"),
-        (_remove("lines/1.csv"), "no file"),
-        (_write("lines/1.csv", "1,2,3\n"), "4 numbers"),
-        (_write("associations/0_1.csv", "0,7\n"), "rows of the line files"),
-        (_write("associations/0_1.csv", "0,0\n0,1\n"), "each once"),
-    ],
-)
-def test_damaged_labels(labelled: Path, damage: Callable[[Path], object], message: str) -> None:
-    damage(labelled)
+@pytest.mark.parametrize(("kind", "name", "text", "message"), DAMAGE)
+def test_damaged_clips(labelled, posed, kind, name, text, message):
+    folder = labelled if kind is LabelledClip else posed
+    if text is None:
+        (folder / name).unlink()
+    else:
+        (folder / name).write_text(text)
     with pytest.raises(InputError, match=message):
-        LabelledClip(labelled)
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (_remove("images"), "images"),
-        (_remove("poses.txt"), "no file"),
-        (_write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), "6 images and 1 poses"),
-        (_write("calib.txt", "\n"), "empty"),
-    ],
-)
-def test_damaged_posed_clips(posed: Path, damage: Callable[[Path], object], message: str) -> None:
-    damage(posed)
-    with pytest.raises(InputError, match=message):
-        PosedClip(posed)
+        kind(folder)
 
 
 def test_command(labelled: Path, posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,48 +105,3 @@ def test_photographs(tmp_path: Path) -> None:
     figures = json.loads(path.read_text())["sequences"]
     assert list(figures) == ["photographs-1"]
     assert figures["photographs-1"]["ours"]["link_precision"] > 0.9
-
-
-@pytest.mark.parametrize(("flag", "name"), [("--icl", "icl_nuim_labelled"), ("--posed", "kitti_clip")])
-def test_real_data(tmp_path: Path, flag: str, name: str) -> None:
-    path = tmp_path / "figures.json"
-    if not (DATA / name).is_dir():
-        pytest.skip(f"needs the data set {name}")
-    assert main([flag, str(DATA / name), "--sequence", name, "--limit", "6", "--json", str(path)]) == 0
-    figures = json.loads(path.read_text())
-    for tracker in figures["sequences"].get(name, {}).values():
-        assert tracker["link_precision"] > 0.97
-        assert tracker["link_recall"] > 0.9
-    if figures["posed"]:
-        ours = figures["posed"][name]["ours"]
-        assert ours["tracks_5"] > 100
-        assert ours["consistent_share"] > 0.5
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--sequence", "nothing"], "no sequence 'nothing': there are static"),
-        (["--limit", "1"], "--limit"),
-        (["--limit", "many"], "--limit"),
-        (["--json", "nowhere/figures.json"], "no folder"),
-        (["--photos", "nowhere"], "nowhere"),
-        (["--icl", "nowhere"], "nowhere"),
-        (["--posed", "nowhere"], "nowhere"),
-    ],
-)
-def test_bad_arguments_are_one_sentence(arguments: list[str], message: str) -> None:
-    outcome = command(*arguments, main=main)
-    assert outcome.code == 2
-    assert outcome.err.startswith("error: ")
-    assert outcome.err.count("\n") == 1
-    assert message in outcome.err
-
-
-def test_help_loads_nothing_heavy() -> None:
-    code = "import sys; from frontend.evaluate import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
-    code += "print([name for name in ('torch', 'numba', 'cv2', 'scipy', 'numpy') if name in sys.modules])"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-    assert "--sequence" in done.stdout

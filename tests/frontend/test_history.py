@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from airline.errors import ConfigError, InputError
 from frontend.camera.model import CameraModel
 from frontend.history import Observations, TrackHistory
-from frontend.tracks import LineTracks
 from tests.helpers.made_tracks import blank_tracks
 
 CAMERA = CameraModel(640, 480, 500, 500, 320, 240, "radial-tangential", np.array([-0.28, 0.07, 2e-4, 2e-5]))
@@ -25,14 +24,7 @@ def segments_of(frame: int, ids: list[int]) -> np.ndarray:
     )
 
 
-def tracks_of(
-    frame: int,
-    ids: list[int],
-    ended: tuple[int, ...] = (),
-    *,
-    camera: CameraModel | None = None,
-    reset: str | None = None,
-) -> LineTracks:
+def tracks_of(frame, ids, ended=(), *, camera=None, reset=None):
     segments = segments_of(frame, ids)
     return blank_tracks(
         len(ids),

@@ -35,7 +35,7 @@ from viz.rerun_sink import RerunSink
 results = list(frame_results(10))
 folder = Path(sys.argv[1])
 print("ready", flush=True)
-sinks = [open_track_sink(str(folder / name)) for name in ("t.mcap", "t.parquet", "t.csv")]
+sinks = [open_track_sink(str(folder / name)) for name in ("t.mcap", "t.parquet", "t.csv", "limap/")]
 sinks.append(RerunSink(save=folder / "t.rrd"))
 start, k = time.monotonic(), 0
 while time.monotonic() < start + {LASTS_S}:
@@ -83,6 +83,16 @@ def frames_of_csv(path: Path) -> list[int]:
     return list(dict.fromkeys(int(row["frame"]) for row in rows))
 
 
+def frames_of_limap(folder: Path) -> list[int]:
+    if not (folder / "images.csv").exists():
+        return []
+    images = [row.split(",")[0] for row in (folder / "images.csv").read_text().splitlines()[1:]]
+    for image in images:
+        assert (folder / f"line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
+        assert (folder / f"line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
+    return list(map(int, images))
+
+
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # what tells a file that was never finished
 @pytest.mark.parametrize("seed", range(KILLS))
 def test_what_was_written_is_readable(seed: int, tmp_path: Path) -> None:
@@ -92,6 +102,7 @@ def test_what_was_written_is_readable(seed: int, tmp_path: Path) -> None:
         "mcap": frames_of_tracks(tmp_path / "t.mcap"),
         "parquet": frames_of_tracks(journal if journal.exists() else tmp_path / "t.parquet"),
         "csv": frames_of_csv(tmp_path / "t.csv"),
+        "limap": frames_of_limap(tmp_path / "limap"),
     }
     if due:
         found["rrd"] = recorded(tmp_path / "t.rrd")["/camera/tracks"]["frame"]

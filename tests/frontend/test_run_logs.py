@@ -13,7 +13,7 @@ from frontend.camera.model import CameraModel
 from logs import read_tracks
 from tests.helpers.camera_logs import Channel, Logged, text, write_log
 from tests.helpers.camera_messages import ROS2, cdr, info_fields, rendered
-from tests.helpers.command import command, recorded
+from tests.helpers.command import command, recorded, refusal
 
 EPOCH_NS = 1_700_000_000 * 10**9
 STEP_NS = 33_333_333
@@ -64,21 +64,14 @@ def test_tracks_in_every_format(desk: Path) -> None:
         assert one.camera.fx == pytest.approx(500 * SIZE[0] / 640)
     assert len((desk / "tracks.csv").read_text().splitlines()) == 1 + sum(map(len, from_mcap))
 
-    before = {path: path.read_bytes() for path in desk.rglob("*") if path.is_file()}
-    for name in outputs:
-        refused = command("drive.mcap", "--headless", "--out", name)
-        assert (refused.code, refused.out) == (2, "")
-        assert "--overwrite" in refused.err
-    assert {path: path.read_bytes() for path in desk.rglob("*") if path.is_file()} == before
+    assert "--overwrite" in refusal("drive.mcap", "--headless", *flags)
     assert command("drive.mcap", "--headless", *flags, "--overwrite", "--max-frames", 2).code == 0
     assert len(list(read_tracks(desk / "tracks.mcap"))) == 2
 
 
 def test_several_cameras(desk: Path) -> None:
     small_log(desk / "drive.mcap", "/left/image", "/right/image")
-    refused = command("drive.mcap", "--headless")
-    assert (refused.code, refused.out) == (2, "")
-    assert "--topic: /left/image" in refused.err
+    assert "--topic: /left/image" in refusal("drive.mcap", "--headless")
     listed = command("drive.mcap", "--list-topics")
     assert listed.code == 0
     heading, left, right, info = (line.split() for line in listed.out.splitlines())
@@ -90,11 +83,9 @@ def test_several_cameras(desk: Path) -> None:
 def test_listing_without_a_camera_or_a_log(desk: Path, clip: Path) -> None:
     write_log(desk / "drive.mcap", {"/chatter": text()})
     for arguments in (["drive.mcap"], ["drive.mcap", "--list-topics"]):
-        refused = command(*arguments)
-        assert (refused.code, refused.out) == (2, "")
-        assert "no image topic; it holds /chatter (std_msgs/msg/String as cdr, 3 messages)" in refused.err
-    assert "is no log" in command(clip, "--list-topics").err
-    assert "needs a log" in command("--list-topics").err
+        assert "no image topic; it holds /chatter (std_msgs/msg/String as cdr, 3 messages)" in refusal(*arguments)
+    assert "is no log" in refusal(clip, "--list-topics")
+    assert "needs a log" in refusal("--list-topics")
 
 
 def test_calibration_file_and_undistortion(desk: Path, clip: Path) -> None:
@@ -133,9 +124,6 @@ def test_outputs_that_cannot_be(desk: Path, name: str) -> None:
     log = small_log(desk / "drive.mcap", "/cam/image")
     content = log.read_bytes()
     for flags in (["--out", name], ["--out", f"./{name}", "--overwrite"] if name == "drive.mcap" else ["--out", name]):
-        refused = command("drive.mcap", "--headless", *flags)
-        assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
-        assert refused.err.startswith("error: ")
-        assert ("it is the input" in refused.err) == ("--overwrite" in flags)
+        assert ("it is the input" in refusal("drive.mcap", "--headless", *flags)) == ("--overwrite" in flags)
     assert log.read_bytes() == content
-    assert command("drive.mcap", "--headless", "--out", "a.csv", "--out", "./a.csv").code == 2
+    assert "a.csv" in refusal("drive.mcap", "--headless", "--out", "a.csv", "--out", "./a.csv")

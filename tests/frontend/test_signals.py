@@ -7,7 +7,6 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -47,9 +46,7 @@ def tell(sign: signal.Signals) -> None:
 
 @pytest.mark.parametrize("sign", SIGNALS)
 @pytest.mark.parametrize("moment", [1, 12, 23, 40, 52])
-def test_no_frame_is_half_written_or_written_twice(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals, moment: int
-) -> None:
+def test_no_frame_is_half_written_or_written_twice(clip, tmp_path, monkeypatch, sign, moment):
     """The signal comes right behind one of the writes into a file, before its sink knows that it is done."""
     whole = OutputFile.writing
     writes = 0

@@ -13,7 +13,6 @@ import pytest
 
 from frontend import soak
 from frontend.soak import Endurance, trend
-from tests.helpers.command import command
 from tests.helpers.made_tracks import made_tracks, result_of
 
 
@@ -75,12 +74,3 @@ def test_growth_slowness_and_open_files_are_violations() -> None:
     turns: Any = SimpleNamespace(finished=1, faults=["soak-0.mcap, file 0, does not hold its frames"])
     faults = soak.judge(watch, turns)["faults"]
     assert [fault.split()[0] for fault in faults] == ["soak-0.mcap,", "memory", "the", "open"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--frames", "10"], "--frames: 10 must be at least 120"), (["--json", "no/such/x.json"], "no folder")],
-)
-def test_what_cannot_be_used_is_said(arguments: list[str], message: str) -> None:
-    outcome = command(*arguments, main=soak.main)
-    assert (outcome.code, message in outcome.err) == (2, True)

@@ -7,15 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from airline.errors import ConfigError, InputError
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
-
-ROOT = Path(__file__).parents[2]
-DATA = ROOT.parent / "shared" / "data"
 
 
 def drawn(number: int) -> np.ndarray:
@@ -36,7 +31,7 @@ def stamps(spec: Path) -> list[int]:
     return [frame.stamp_ns for frame in open_source(spec)]
 
 
-@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "tiff", "ppm", "PNG"])
+@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "tiff", "ppm", "PNG", "jpg", "jpeg", "webp"])
 def test_natural_order_and_frame_rate(tmp_path: Path, suffix: str) -> None:
     write(tmp_path, [f"img{number}.{suffix}" for number in range(12)])
     (tmp_path / "notes.txt").write_text("no image")
@@ -48,16 +43,11 @@ def test_natural_order_and_frame_rate(tmp_path: Path, suffix: str) -> None:
     assert [frame.index for frame in frames] == list(range(12))
     assert [frame.stamp_ns for frame in frames] == [round(number * 1e9 / 3) for number in range(12)]
     for number, frame in enumerate(frames):
-        np.testing.assert_array_equal(frame.image, drawn(number))
         assert frame.image.flags.c_contiguous
-
-
-@pytest.mark.parametrize("suffix", ["jpg", "jpeg", "webp"])
-def test_lossy_formats(tmp_path: Path, suffix: str) -> None:
-    write(tmp_path, [f"0.{suffix}"])
-    (frame,) = FolderSource(tmp_path)
-    assert frame.image.shape == (24, 32, 3)
-    assert np.abs(frame.image[:, 8:].astype(int) - drawn(0)[:, 8:]).max() < 30
+        if suffix in ("jpg", "jpeg", "webp"):
+            assert np.abs(frame.image[:, 16:].astype(int) - drawn(number)[:, 16:]).max() < 30
+        else:
+            np.testing.assert_array_equal(frame.image, drawn(number))
 
 
 def test_depth_and_channels_are_kept(tmp_path: Path) -> None:
@@ -182,18 +172,6 @@ def test_malformed_times(tmp_path: Path, table: str, content: str) -> None:
     with pytest.raises(InputError) as caught:
         FolderSource(tmp_path)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("table", ["data.csv", "rgb.txt", "times.txt", "0.png"])
-@given(content=st.binary(max_size=200))
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_bytes_are_an_input_error(tmp_path: Path, table: str, content: bytes) -> None:
-    write(tmp_path / "data", [])
-    if table == "times.txt":
-        write(tmp_path, ["0.png", "1.png"])
-    (tmp_path / table).write_bytes(content)
-    with pytest.raises(InputError):
-        list(open_source(tmp_path))
 
 
 def test_nothing_there(tmp_path: Path) -> None:

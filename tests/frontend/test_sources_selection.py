@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,48 +10,8 @@ from hypothesis import strategies as st
 from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
-from frontend.protocols import Source
 from frontend.sources.wrapped import Peeked, SelectedFrames
-
-
-@dataclass
-class Listed(Source):
-    """Frames of a list; `read` counts how many were taken from it."""
-
-    frames: list[Frame]
-    endless: bool = False
-    read: int = 0
-    closed: bool = False
-    name: str = "listed"
-    skipped: int = 2
-    start_s: float = 0.0
-
-    @property
-    def frame_count(self) -> int | None:
-        return None if self.endless else len(self.frames)
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self.frames:
-            self.read += 1
-            yield frame
-
-    def close(self) -> None:
-        self.closed = True
-
-
-class Seekable(Listed):
-    @property
-    def first_stamp_ns(self) -> int:
-        return self.frames[0].stamp_ns
-
-    def seek(self, start_s: float) -> None:
-        self.start_s = start_s
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self.frames:
-            if frame.stamp_ns - self.first_stamp_ns >= round(self.start_s * 1e9):
-                self.read += 1
-                yield frame
+from tests.helpers.sources import Listed, Seekable
 
 
 def frames_at(stamps: list[int]) -> list[Frame]:
@@ -72,16 +29,7 @@ def frames_at(stamps: list[int]) -> list[Frame]:
     most=st.none() | st.integers(1, 12),
     endless=st.booleans(),
 )
-def test_equals_list_slicing(
-    steps: list[int],
-    first: int,
-    kind: type[Listed],
-    start: int | None,
-    length: int | None,
-    stride: int,
-    most: int | None,
-    endless: bool,
-) -> None:
+def test_equals_list_slicing(steps, first, kind, start, length, stride, most, endless):
     frames = frames_at(list(np.cumsum([first, *steps])))
     start_s = None if start is None else start / 10
     end_s = None if length is None else ((start or 0) + length) / 10
@@ -98,7 +46,7 @@ def test_equals_list_slicing(
 
 
 def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
-    source = Listed(frames_at(list(range(100))), endless=True)
+    source = Listed(frames_at(list(range(100))), endless=True, skipped=2)
     selection = SelectedFrames(source, stride=10, max_frames=3)
     assert selection.frame_count == 3
     assert [frame.index for frame in selection] == [0, 30, 60]
@@ -125,8 +73,7 @@ def test_a_seekable_source_is_not_read_from_the_start() -> None:
 
 
 @pytest.mark.parametrize(
-    ("resize", "shape"),
-    [((32, 16), (16, 32)), ((32, None), (21, 32)), ((120, None), (80, 120)), ((60, 40), (40, 60))],
+    ("resize", "shape"), [((32, 16), (16, 32)), ((32, None), (21, 32)), ((120, None), (80, 120)), ((60, 40), (40, 60))]
 )
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [(), (3,)])

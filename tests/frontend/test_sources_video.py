@@ -14,8 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from airline.errors import InputError
 from frontend.protocols import Source
@@ -23,9 +21,9 @@ from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
 from frontend.sources.live import LiveSource
 from frontend.sources.video import VideoSource
+from tests.helpers.command import ROOT
+from tests.helpers.videos import write_video
 
-ROOT = Path(__file__).parents[2]
-DATA = ROOT.parent / "shared" / "data"
 COUNT, FPS, PERIOD_NS = 60, 25, 40_000_000
 KINDS = {"mjpg.avi": "MJPG", "mpeg4.mp4": "mp4v", "mpeg4.avi": "mp4v", "mjpg.mkv": "MJPG"}
 
@@ -47,11 +45,7 @@ def number_in(image: np.ndarray) -> int:
 def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("videos")
     for name, codec in KINDS.items():
-        writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*codec), FPS, (256, 120))
-        assert writer.isOpened()
-        for number in range(COUNT):
-            writer.write(drawn(number))
-        writer.release()
+        write_video(folder / name, map(drawn, range(COUNT)), codec, FPS)
     return folder
 
 
@@ -121,22 +115,6 @@ def test_damage_in_the_middle_of_an_mp4(videos: Path, tmp_path: Path, caplog: py
     assert f"skipped {source.skipped} frames" in caplog.text
 
 
-@pytest.mark.parametrize("name", ["mjpg.avi", "mjpg.mkv"])
-@given(seed=st.integers(0, 2**32 - 1), start=st.floats(0.05, 0.9), share=st.floats(0.001, 0.3))
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_damage_never_breaks_the_stream(
-    videos: Path, tmp_path: Path, name: str, seed: int, start: float, share: float
-) -> None:
-    data = bytearray((videos / name).read_bytes())
-    begin, end = int(start * len(data)), int(min(start + share, 1) * len(data))
-    data[begin:end] = np.random.default_rng(seed).bytes(end - begin)
-    (tmp_path / name).write_bytes(data)
-    source = VideoSource(tmp_path / name)
-    times = stamps(source)
-    assert 1 <= len(times) <= COUNT
-    assert all(first < second for first, second in pairwise(times))
-
-
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("start_s", [0.0, 0.01, 0.04, 0.5, 1.0, 1.01, 2.36, 2.37, 50.0])
 def test_seek_is_exact(videos: Path, name: str, start_s: float) -> None:
@@ -158,14 +136,6 @@ def test_varying_rate(tmp_path: Path, suffix: str) -> None:
         later = VideoSource(path)
         later.seek(start_s)
         assert stamps(later) == [tick * PERIOD_NS for tick in ticks if tick * 0.04 >= start_s]
-
-
-@pytest.mark.parametrize("content", [b"", b"a", b"hello world\n" * 50, bytes(5000), b"time,x\n1,2\n"])
-def test_no_video(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "file.mp4"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"file\.mp4"):
-        VideoSource(path)
 
 
 def test_ffmpeg_says_nothing(videos: Path, tmp_path: Path) -> None:
@@ -193,14 +163,6 @@ for path in sys.argv[1:]:
     assert chatter == []
 
 
-@given(content=st.binary(max_size=3000))
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_random_bytes_are_no_video(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "noise.avi").write_bytes(content)
-    with pytest.raises(InputError):
-        VideoSource(tmp_path / "noise.avi")
-
-
 def test_missing_file_folder_and_impossible_names(tmp_path: Path) -> None:
     (tmp_path / "clip.mp4").mkdir()
     with pytest.raises(InputError, match="folder"):
@@ -208,16 +170,6 @@ def test_missing_file_folder_and_impossible_names(tmp_path: Path) -> None:
     for spec in ("nowhere.mp4", "x" * 5000, "nul\0byte", "\udcff.mp4", "", "/dev/null"):
         with pytest.raises(InputError):
             open_source(spec)
-
-
-def test_name_that_is_not_utf8(videos: Path, tmp_path: Path) -> None:
-    path = tmp_path / "clip\udcff.avi"
-    try:
-        path.write_bytes((videos / "mjpg.avi").read_bytes())
-    except (OSError, UnicodeEncodeError):
-        pytest.skip("this file system holds UTF-8 names only")
-    with pytest.raises(InputError, match="UTF-8"):
-        VideoSource(path)
 
 
 def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,18 +187,15 @@ def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypat
 
 
 def test_no_such_camera_or_stream_fails_fast() -> None:
-    begin = time.monotonic()
     for spec in ("99", "9" * 30, "http://127.0.0.1:9/x.mp4", "nonsense://x", "http://\udcff"):
         with pytest.raises(InputError, match="cannot open"):
             open_source(spec)
     with pytest.raises(InputError) as caught:
         open_source("rtsp://user:secret@127.0.0.1:9/x")
     assert "secret" not in str(caught.value)
-    assert time.monotonic() - begin < 5
 
 
-@pytest.mark.parametrize("name", ["mjpg.avi", "mpeg4.mp4"])
-def test_http_stream(videos: Path, name: str) -> None:
+def test_http_stream(videos: Path) -> None:
     class Quiet(SimpleHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
             """Keep the test's output clean."""
@@ -255,17 +204,16 @@ def test_http_stream(videos: Path, name: str) -> None:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         before = time.time_ns()
-        source = open_source(f"http://127.0.0.1:{server.server_port}/{name}")
+        source = open_source(f"http://127.0.0.1:{server.server_port}/mjpg.avi")
         assert isinstance(source, LiveSource)
         assert source.frame_count is None
         assert not source.live, "a recording waits for who reads it"
-        assert source.name == f"127.0.0.1-{server.server_port}-{name}"  # can name a file
+        assert source.name == f"127.0.0.1-{server.server_port}-mjpg.avi"  # can name a file
         frames = list(source)
         source.close()
         server.shutdown()
         thread.join()
-    if name.endswith(".avi"):  # an mp4's index is at its end, which needs a server that can seek
-        assert len(frames) == COUNT
+    assert len(frames) == COUNT
     times = [frame.stamp_ns for frame in frames]
     assert before <= times[0] <= times[-1] <= time.time_ns() + 1_000_000
     assert all(first < second for first, second in pairwise(times))

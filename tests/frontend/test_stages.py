@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -32,9 +33,7 @@ def no_thread_stays() -> Iterator[None]:
     assert threading.active_count() == before
 
 
-def slow(
-    name: str, delays_ms: list[int], fails_at: int | None = None, taken: list[object] | None = None
-) -> Callable[[list[object]], list[object]]:
+def slow(name, delays_ms, fails_at=None, taken=None):
     """A stage that adds its name to an item, after a while; fails at one item. It notes what it has taken."""
     calls = count()
 
@@ -70,14 +69,7 @@ DELAYS = st.lists(st.integers(0, 3), min_size=1, max_size=5)
     stop_after=st.none() | st.integers(0, 14),
     read_ahead=st.booleans(),
 )
-def test_results_are_those_of_one_after_the_other(
-    length: int,
-    delays: list[list[int]],
-    stages: int,
-    fault: tuple[int, int] | None,
-    stop_after: int | None,
-    read_ahead: bool,
-) -> None:
+def test_results_are_those_of_one_after_the_other(length, delays, stages, fault, stop_after, read_ahead):
     """Everything in order, or everything before the fault and then the fault itself."""
     place, item = fault if fault is not None and fault[0] <= stages and fault[1] < length else (None, length)
     names = [f"stage {number}" for number in range(1, stages + 1)]
@@ -112,22 +104,46 @@ def test_results_are_those_of_one_after_the_other(
     assert threading.active_count() == before
 
 
+def test_stages_overlap() -> None:
+    """Reading and three stages are in the middle of one item each at the same moment."""
+    together = threading.Barrier(4)
+
+    def meet(item: int, at: int) -> int:
+        if item == at:
+            together.wait(20)
+        return item
+
+    steps = [partial(meet, at=2), partial(meet, at=1), partial(meet, at=0)]
+    assert list(pipelined((meet(item, 3) for item in range(8)), *steps)) == list(range(8))
+
+
 @pytest.mark.parametrize("read_ahead", [True, False])
-def test_a_slow_consumer_holds_up_the_source(read_ahead: bool) -> None:
-    read = []
+def test_so_much_is_read_ahead_and_no_more(read_ahead: bool) -> None:
+    """A live source is read by the first stage when that is free: what was read waits, and gets old."""
+    read: list[int] = []
+    readers, workers = set(), set()
 
     def endless() -> Iterator[int]:
         for number in count():
             read.append(number)
+            readers.add(threading.get_ident())
             yield number
 
+    def first(item: int) -> int:
+        workers.add(threading.get_ident())
+        return item
+
     most = 3 + WAITING if read_ahead else 2 + WAITING_LIVE
-    results = pipelined(endless(), lambda item: item, lambda item: item, read_ahead=read_ahead)
+    results = pipelined(endless(), first, lambda item: item, read_ahead=read_ahead)
     for number in range(5):
         assert next(results) == number
+        deadline = time.monotonic() + 20
+        while len(read) - number < most and time.monotonic() < deadline:
+            time.sleep(0.01)
         time.sleep(0.05)
-        assert len(read) - number <= most
+        assert len(read) - number == most
     results.close()
+    assert (readers == workers) == (not read_ahead)
 
 
 def test_a_stage_may_not_end_the_stream() -> None:
@@ -149,10 +165,8 @@ def test_an_interrupt_ends_the_wait_for_an_item() -> None:
     main = threading.main_thread().ident
     assert main is not None
     threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT)).start()
-    started = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
         next(results)
-    assert time.perf_counter() - started < 5
     signal.signal(signal.SIGINT, before)
 
 

@@ -160,14 +160,6 @@ def test_end_points_keep_their_order():
         assert np.abs(tracks.segments_px[0] - segment).max() < 8
 
 
-def test_an_extent_grows_as_more_is_seen():
-    tracker = begin(np.array([[[40, 40], [90, 40]]], np.float32))
-    seen = tracker.update(frame(3), line_set([[[60, 40], [150, 40]]]))
-    assert seen.ids.tolist() == [0]
-    assert seen.segments_px[0, 0, 0] < 45
-    assert seen.segments_px[0, 1, 0] > 130
-
-
 def test_a_resting_line_is_steadier_than_its_detections():
     rng = np.random.default_rng(5)
     line = np.array([[[30, 30], [150, 100]]], np.float32)

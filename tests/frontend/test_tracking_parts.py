@@ -10,16 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
-from airline.stages.split_regions import residual, split_regions
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
-from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances
+from frontend.tracking.fusion import clip, fuse
 from frontend.tracking.motion import predict_segments, warp, working_image
-from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
-from tests.helpers.tracking_frames import frame, line_set, texture
-
-LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
-ALL = np.ones(3, np.bool_)
+from frontend.tracking.overlap import LineFeatures, overlap_votes, parents
+from tests.helpers.tracking_frames import line_set, texture
 
 
 def looks(segments: object, profiles: np.ndarray | None = None) -> LineFeatures:
@@ -36,17 +32,6 @@ def votes(tracks: LineFeatures, lines: LineFeatures, band: float = 4.0, parts: n
     return overlap_votes(tracks, lines, bands, parts, alike, max_angle=np.deg2rad(20), min_agreement=0.5)
 
 
-# ---- motion
-
-
-def test_prediction_follows_the_image():
-    before, after = (working_image(frame(0, shift=s).image) for s in (0, 12))
-    moved = predict_segments(before, after, LINES, ALL, np.eye(3))
-    assert np.abs(moved.segments - LINES - np.float32([12, 0])).max() < 0.6
-    assert moved.followed.all()
-    assert moved.trusted > 0.8
-
-
 def test_prediction_follows_a_turning_camera():
     plane = texture(3, (640, 480))[100:-100, 100:-100]
     camera = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
@@ -58,25 +43,6 @@ def test_prediction_follows_a_turning_camera():
     assert np.abs(expected - lines).max() > 30
     assert np.abs(moved.segments - expected).max() < 2.5, "lines without flow of their own follow the whole image"
     assert not moved.followed.any()
-
-
-def test_prediction_without_texture_goes_on_as_before():
-    flat = working_image(np.full((160, 200), 90, np.uint8))
-    previous = np.array([[1.0, 0, 5], [0, 1, -2], [0, 0, 1]])
-    moved = predict_segments(flat, flat, LINES, ALL, previous)
-    assert np.allclose(moved.segments, LINES + np.float32([5, -2]), atol=1e-3)
-    assert not moved.followed.any()
-    assert moved.trusted == 0
-
-
-@pytest.mark.parametrize(("shape", "factor"), [((480, 640), 2), ((120, 160), 1), ((1080, 1920), 4), ((1, 1), 1)])
-def test_working_images_are_small(shape, factor):
-    image = working_image(np.zeros(shape, np.uint8))
-    assert max(image.pixels.shape) <= 480
-    assert image.factor.tolist() == [factor, factor]
-
-
-# ---- profiles
 
 
 def step_image() -> np.ndarray:
@@ -95,26 +61,6 @@ def test_profiles_of_a_step():
     assert np.allclose(side_profiles(step_image(), down[:, ::-1])[0], profile[::-1], atol=1e-6)
 
 
-def test_profiles_forget_brightness_and_contrast():
-    lines = np.array([[[59.5, 20], [59.5, 80]], [[50, 20], [70, 90]]], np.float32)
-    image = step_image()
-    changed = (image * 0.5 + 90).astype(np.uint8)
-    assert np.allclose(side_profiles(image, lines), side_profiles(changed, lines), atol=0.02)
-    assert np.allclose(side_profiles(np.full_like(image, 77), lines), 0)
-
-
-def test_both_edges_of_a_bar_are_told_apart():
-    image = np.full((100, 120), 60, np.uint8)
-    image[:, 50:58] = 200
-    edges = np.array([[[49.5, 20], [49.5, 80]], [[57.5, 20], [57.5, 80]]], np.float32)
-    first, second = side_profiles(image, edges)
-    assert first @ second < -0.2
-    assert first @ first > 0.95
-
-
-# ---- votes
-
-
 def test_votes_of_hand_made_pairs():
     track = looks([[[0, 0], [100, 0]]])
     lines = looks(
@@ -125,27 +71,6 @@ def test_votes_of_hand_made_pairs():
     assert votes(track, lines)[0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_votes_prefer_the_piece_that_was_seen_last():
-    track = looks([[[0, 0], [100, 0]]])
-    pieces = looks([[[0, 0], [45, 0]], [[55, 0], [100, 0]]])
-    first, second = votes(track, pieces)[0]
-    assert first == pytest.approx(second)
-    first, second = votes(track, pieces, parts=pieces.segments[1:])[0]
-    assert second == pytest.approx(1)
-    assert first == pytest.approx(0.35**2)
-
-
-def test_votes_do_not_depend_on_the_order_of_end_points():
-    rng = np.random.default_rng(2)
-    segments = rng.uniform(0, 60, (15, 2, 2)).astype(np.float32)
-    profiles = rng.normal(0, 0.3, (15, 8)).astype(np.float32)
-    lines = looks(segments, profiles)
-    reversed_lines = LineFeatures(segments[:, ::-1].copy(), lines.descriptors, profiles[:, ::-1].copy())
-    forward = votes(lines, lines, band=10.0)
-    assert np.allclose(forward, votes(lines, reversed_lines, band=10.0), atol=1e-4)
-    assert (np.diag(forward) > 0.3).all()
-
-
 def test_votes_prefer_the_line_that_looks_alike():
     step = np.float32([-1, -1, -1, -1, 1, 1, 1, 1]) / np.float32(np.sqrt(8))
     track = looks([[[0, 0], [100, 0]]], step[None])
@@ -153,9 +78,6 @@ def test_votes_prefer_the_line_that_looks_alike():
     alike, opposite = votes(track, lines)[0]
     assert alike > 0.2
     assert opposite == pytest.approx(0, abs=1e-6)
-
-
-# ---- assignment
 
 
 @settings(max_examples=100, deadline=None)
@@ -170,16 +92,6 @@ def test_assignment_is_the_best_of_all(rows, columns, density, seed):
     assert (pairs >= least).all()
     worth = np.where(matrix >= least, matrix, 0)
     assert pairs.sum() == pytest.approx(worth[linear_sum_assignment(worth, maximize=True)].sum(), rel=1e-5)
-
-
-def test_assignment_leaves_masked_rows_and_columns_alone():
-    matrix = np.array([[0.9, 0.5, 0.3], [0.8, 0.7, 0.2]], np.float32)
-    assert assign(matrix, 0.1).tolist() == [0, 1]
-    assert assign(matrix, 0.1, rows=np.array([False, True])).tolist() == [-1, 0]
-    assert assign(matrix, 0.1, columns=np.array([False, True, True])).tolist() == [2, 1]
-
-
-# ---- fusion
 
 
 @settings(max_examples=60, deadline=None)
@@ -211,40 +123,6 @@ def test_fusion_is_the_kalman_update(seed):
     assert np.allclose(covariance[0], moved @ after @ moved.T, rtol=0.05, atol=2e-4)
 
 
-def test_covariances_follow_residual_and_length():
-    lines = np.array([[[0, 0], [40, 0]], [[0, 0], [160, 0]]], np.float32)
-    short, long = line_covariances(lines, np.full(2, 0.4, np.float32))
-    assert long[0, 0] < short[0, 0]
-    assert long[1, 1] < short[1, 1] / 16
-    rough = line_covariances(lines, np.full(2, 0.8, np.float32))
-    assert rough[0, 0, 0] > 3 * short[0, 0]
-
-
-def test_predictions_err_more_the_farther_they_move():
-    errors = line_covariances(LINES, None)
-    still = predicted_covariances(errors, LINES, LINES, ALL)
-    far = predicted_covariances(errors, LINES, LINES + np.float32(20), ALL)
-    blind = predicted_covariances(errors, LINES, LINES, ~ALL)
-    assert (errors[:, 0, 0] < still[:, 0, 0]).all()
-    assert (still[:, 0, 0] < far[:, 0, 0]).all()
-    assert (far[:, 0, 0] < blind[:, 0, 0]).all()
-
-
-def test_residuals_of_scattered_pixels():
-    rng = np.random.default_rng(3)
-    along = np.linspace(0, 100, 4000)
-    across = rng.normal(0, 0.3, 4000)
-    angle = 0.7
-    points = np.stack(
-        [20 + along * np.cos(angle) - across * np.sin(angle), 10 + along * np.sin(angle) + across * np.cos(angle)], 1
-    ).astype(np.float32)
-    _, _, parts = split_regions(points, np.ones(4000, np.float32), np.arange(4000), np.array([0, 4000]), 5.0)
-    assert residual(parts[0]) == pytest.approx(0.3, abs=0.02)
-
-
-# ---- fragments and borders
-
-
 def test_fragments_lie_on_an_older_line_but_not_beside_the_piece_that_goes_on():
     whole = np.array([[[0, 0], [100, 0]]], np.float32)
     goes_on = [[0, 0], [60, 0]]
@@ -257,18 +135,6 @@ def test_fragments_lie_on_an_older_line_but_not_beside_the_piece_that_goes_on():
     ]
     assert parents(np.array([goes_on, *lines], np.float32), whole).tolist() == [-1, 0, -1, -1, -1, -1]
     assert parents(np.array(lines, np.float32), whole[:0]).tolist() == [-1] * 5
-
-
-def test_of_two_tracks_on_one_line_the_younger_is_the_fragment():
-    whole = np.array([[[0, 0], [90, 0]], [[20, 0], [100, 0]]], np.float32)
-    seen = np.array([[[0, 0], [40, 0]], [[50, 0], [80, 0]]], np.float32)
-    assert parents(seen, whole).tolist() == [-1, 0]
-
-
-def test_pieces_inside_the_seen_line_are_absorbed():
-    seen = np.array([[[0, 0], [100, 0]]], np.float32)
-    pieces = np.array([[[65, 1], [95, 1]], [[65, 1], [95, 1]], [[90, 0], [160, 0]]], np.float32)
-    assert absorbed(pieces, np.array([0, -1, 0]), seen).tolist() == [True, False, False]
 
 
 @settings(max_examples=100, deadline=None)

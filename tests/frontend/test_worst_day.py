@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,12 @@ from airline.errors import InputError
 from frontend.cli.settings import RunConfig
 from frontend.frame import Frame
 from frontend.pipeline import LineFrontend
-from frontend.protocols import Source
 from frontend.run import process
 from frontend.sources import open_source
 from logs import read_tracks
 from logs.sinks.open import open_track_sink
 from tests.helpers.command import command, python, recorded
+from tests.helpers.sources import Listed
 
 PERIOD_NS = 33_333_333
 
@@ -142,27 +142,14 @@ def test_a_disk_without_room_for_a_recording_is_said(small_disk: Path, long_clip
     assert recorded(small_disk / "t.rrd")["/camera/tracks"]["frame"][:3] == [0, 1, 2]
 
 
-class StampedSource(Source):
-    """A picture over and over, at these times."""
-
-    name = "stamped"
-
-    def __init__(self, clip: Path, stamps_ns: list[int]) -> None:
-        self._image, self._stamps_ns = cv2.imread(str(clip / "0.png")), stamps_ns
-
-    def __iter__(self) -> Iterator[Frame]:
-        for index, stamp_ns in enumerate(self._stamps_ns):
-            yield Frame(index, stamp_ns, self._image)
-
-
 def test_a_clock_that_jumps_steps_back_or_stands_still(clip: Path, tmp_path: Path) -> None:
     hour = 3600 * 10**9
     stamps = [k * PERIOD_NS for k in range(4)]
     stamps += [stamps[-1]] * 2 + [hour, hour + PERIOD_NS, 2 * PERIOD_NS, 3 * PERIOD_NS, 2**62, 2**62]
     names = ("t.mcap", "t.parquet", "t.csv", "limap/")
-    code, summary = process(
-        StampedSource(clip, stamps), RunConfig(), (open_track_sink(f"{tmp_path}/{name}") for name in names)
-    )
+    image = cv2.imread(str(clip / "0.png"))
+    source = Listed([Frame(index, stamp_ns, image) for index, stamp_ns in enumerate(stamps)])
+    code, summary = process(source, RunConfig(), (open_track_sink(f"{tmp_path}/{name}") for name in names))
     assert (code, summary.frames) == (0, len(stamps))
     for name in names[:2]:
         found = list(read_tracks(tmp_path / name))
@@ -176,22 +163,26 @@ def frontend() -> LineFrontend:
     return LineFrontend()
 
 
-IMAGES: dict[str, Any] = {
-    "black": np.zeros((120, 160), np.uint8),
-    "white": np.full((120, 160), 255, np.uint8),
-    "one colour": np.full((120, 160, 3), (10, 200, 30), np.uint8),
-    "noise": np.random.default_rng(0).integers(0, 256, (120, 160), np.uint8),
-    "sixteen bits of noise": np.random.default_rng(0).integers(0, 65536, (120, 160), np.uint16),
-    "1x1": np.zeros((1, 1), np.uint8),
-    "20000x3": np.random.default_rng(0).integers(0, 256, (3, 20000), np.uint8),
-    "3x20000": np.random.default_rng(0).integers(0, 256, (20000, 3), np.uint8),
-    "8K": np.tile(np.uint8([[40] * 960 + [200] * 960]), (4320, 4)),
+def noise(*shape: int, dtype: type = np.uint8) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
+
+
+IMAGES: dict[str, Callable[[], np.ndarray]] = {
+    "black": lambda: np.zeros((120, 160), np.uint8),
+    "white": lambda: np.full((120, 160), 255, np.uint8),
+    "one colour": lambda: np.full((120, 160, 3), (10, 200, 30), np.uint8),
+    "noise": lambda: noise(120, 160),
+    "sixteen bits of noise": lambda: noise(120, 160, dtype=np.uint16),
+    "1x1": lambda: np.zeros((1, 1), np.uint8),
+    "20000x3": lambda: noise(3, 20000),
+    "3x20000": lambda: noise(20000, 3),
+    "8K": lambda: np.tile(np.uint8([[40] * 960 + [200] * 960]), (4320, 4)),
 }
 
 
 @pytest.mark.parametrize("name", IMAGES)
 def test_odd_images_go_all_the_way(frontend: LineFrontend, tmp_path: Path, name: str) -> None:
-    image = IMAGES[name]
+    image = IMAGES[name]()
     names = ("t.mcap", "t.parquet", "t.csv", "limap/")
     sinks = [open_track_sink(f"{tmp_path}/{out}", with_images=name != "8K") for out in names]
     frontend.tracker = type(frontend.tracker)()

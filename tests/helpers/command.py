@@ -45,6 +45,14 @@ def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outc
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
+def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
+    """The one sentence with which a command line is refused before it prints anything."""
+    outcome = command(*arguments, main=main)
+    assert (outcome.code, outcome.out) == (2, ""), outcome
+    assert re.fullmatch(r"error: .{1,500}\n", outcome.err), outcome.err
+    return outcome.err.removeprefix("error: ").rstrip("\n")
+
+
 def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
     """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import fields
 from functools import cache
 from typing import Any
@@ -13,7 +15,7 @@ from airline.lines import LineSet
 from airline.scenes import RenderedClip
 from airline.trace import Trace
 from frontend import CameraModel, Frame, LineFrontend
-from frontend.protocols import FrameResult
+from frontend.protocols import FrameResult, Sink
 from frontend.sources.scene import SceneSource
 from frontend.tracks import FIELDS, LineTracks
 
@@ -39,6 +41,13 @@ def result_of(tracks: LineTracks) -> FrameResult:
     )
     image = np.full(shape, tracks.frame_index % 251, np.uint8)
     return FrameResult(Frame(tracks.frame_index, tracks.stamp_ns, image, tracks.camera), trace, tracks, {})
+
+
+def write_all(sink: Sink, stream: Iterable[LineTracks]) -> None:
+    """Write the tracks of some frames, and close."""
+    with closing(sink):
+        for tracks in stream:
+            sink.write(result_of(tracks))
 
 
 def blank_tracks(count: int, *, frame_index: int = 0, stamp_ns: int = 0, **given: Any) -> LineTracks:

@@ -38,6 +38,16 @@ def stamp(number: int) -> int:
     return START + number * STEP
 
 
+def fill(writer, typestore, numbers) -> None:
+    with writer:
+        image = writer.add_connection(TOPIC, "sensor_msgs/msg/Image", typestore=typestore)
+        other = writer.add_connection(OTHER, "sensor_msgs/msg/Imu", typestore=typestore)
+        for number in numbers:
+            writer.write(image, stamp(number), content(number))
+            for k in range(5):
+                writer.write(other, stamp(number) + 1000 * (k + 1), b"\0\1\0\0imu")
+
+
 def write(folder: Path, kind: str, numbers: Sequence[int] = range(COUNT)) -> Path:
     """A bag with an image topic and one with five times as many messages."""
     if kind in ("none", "bz2", "lz4"):
@@ -45,26 +55,14 @@ def write(folder: Path, kind: str, numbers: Sequence[int] = range(COUNT)) -> Pat
         writer1 = rosbag1.Writer(path)
         if kind != "none":
             writer1.set_compression(rosbag1.Writer.CompressionFormat[kind.upper()])
-        with writer1:
-            image = writer1.add_connection(TOPIC, "sensor_msgs/msg/Image", typestore=ROS1)
-            other = writer1.add_connection(OTHER, "sensor_msgs/msg/Imu", typestore=ROS1)
-            for number in numbers:
-                writer1.write(image, stamp(number), content(number))
-                for k in range(5):
-                    writer1.write(other, stamp(number) + 1000 * (k + 1), b"imu")
+        fill(writer1, ROS1, numbers)
         return path
     path = folder / "plain"
     storage = StoragePlugin.MCAP if kind.startswith("mcap") else StoragePlugin.SQLITE3
     writer2 = rosbag2.Writer(path, version=9, storage_plugin=storage)
     modes = {"messages": CompressionMode.MESSAGE, "file": CompressionMode.FILE}
     writer2.set_compression(modes.get(kind.partition(" ")[2], CompressionMode.NONE), CompressionFormat.ZSTD)
-    with writer2:
-        image = writer2.add_connection(TOPIC, "sensor_msgs/msg/Image", typestore=ROS2)
-        other = writer2.add_connection(OTHER, "sensor_msgs/msg/Imu", typestore=ROS2)
-        for number in numbers:
-            writer2.write(image, stamp(number), content(number))
-            for k in range(5):
-                writer2.write(other, stamp(number) + 1000 * (k + 1), b"\0\1\0\0imu")
+    fill(writer2, ROS2, numbers)
     if kind == "split":  # rosbags splits nothing: two recordings in one folder
         second = write(folder / "second", "sqlite", range(COUNT, 2 * COUNT))
         next(second.glob("*.db3")).rename(path / "some_1.db3")
@@ -167,9 +165,7 @@ def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
 
 @given(place=st.floats(0, 1), noise=st.binary(min_size=1, max_size=60), cut=st.booleans())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_arbitrary_damage_never_raises_anything_else(
-    tmp_path: Path, place: float, noise: bytes, cut: bool, small_bags: list[bytes]
-) -> None:
+def test_arbitrary_damage_never_raises_anything_else(tmp_path, place, noise, cut, small_bags):
     for number, whole in enumerate(small_bags):
         data = bytearray(whole)
         at = int(place * (len(data) - 1))
@@ -186,8 +182,5 @@ def test_arbitrary_damage_never_raises_anything_else(
 
 @pytest.fixture(scope="module")
 def small_bags(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
-    bags = []
-    for kind in ("none", "lz4", "db3"):
-        path = write(tmp_path_factory.mktemp("small"), kind, range(2))
-        bags.append(path.read_bytes())
-    return bags
+    kinds = ("none", "lz4", "db3")
+    return [write(tmp_path_factory.mktemp("small"), kind, range(2)).read_bytes() for kind in kinds]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import replace
 
 import cv2
@@ -12,7 +11,7 @@ import pytest
 from airline.errors import ConfigError, InputError
 from logs.repair import main
 from logs.sinks.limap import LimapTrackSink
-from tests.helpers.made_tracks import CAMERA, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import CAMERA, clip_results, made_tracks, result_of, write_all
 
 SEGMENTS = "line_detections/lsd/segments"
 
@@ -45,9 +44,7 @@ def read_neighbours(folder):
 
 
 def write(folder, stream, **options):
-    with closing(LimapTrackSink(folder, **options)) as sink:
-        for tracks in stream:
-            sink.write(result_of(tracks))
+    write_all(LimapTrackSink(folder, **options), stream)
     return folder
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from airline.errors import InputError
 from logs.calibration import camera_of, info_topic_for, is_rectified
@@ -30,19 +28,14 @@ def info(**changes: object) -> CameraInfo:
     ("model", "d", "kind"),
     [
         ("plumb_bob", D5, "radial-tangential"),
-        ("plumb_bob", D5[:4], "radial-tangential"),
         ("rational_polynomial", D8, "radial-tangential"),
         ("rational_polynomial", (*D8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), "radial-tangential"),
         ("equidistant", D4, "equidistant"),
-        ("fisheye", D4, "equidistant"),
         ("kannala_brandt", D4, "equidistant"),
         ("Kannala-Brandt", (0.0, 0.0, 0.0, 0.0), "equidistant"),
-        ("kannala_brandt4", D4, "equidistant"),
         ("plumb_bob", (0.0,) * 5, "none"),
         ("plumb_bob", (), "none"),
-        ("rational_polynomial", (0.0,) * 8, "none"),
         ("", (), "none"),
-        ("", (0.0,) * 5, "none"),
         ("none", (), "none"),
     ],
 )
@@ -99,20 +92,15 @@ def test_other_sizes() -> None:
     ("changes", "message"),
     [
         ({"k": (0.0,) * 9}, "uncalibrated"),
-        ({"k": (*(0.0,) * 8, 1.0)}, "uncalibrated"),
-        ({"k": ()}, "0 numbers where K has 9"),
         ({"k": K[:8]}, "8 numbers where K has 9"),
         ({"k": (float("nan"), *K[1:])}, "make no sense"),
-        ({"d": (float("inf"), *D5[1:])}, "make no sense"),
         ({"k": (500.0, 0.7, *K[2:])}, "skew"),
-        ({"k": (-500.0, *K[1:])}, "positive"),
         ({"distortion_model": "fov", "d": (0.9,)}, "'fov' is not supported"),
         ({"distortion_model": "", "d": D5}, "no coefficients other than zeros"),
         ({"d": (0.1, 0.2, 0.3)}, "takes 4 or 5 or 8"),
         ({"distortion_model": "equidistant", "d": D8}, "takes 4 coefficients, not 8"),
         ({"distortion_model": "rational_polynomial", "d": (*D8, 0.1, 0.0, 0.0, 0.0)}, "not 12"),
         ({"roi": (600, 0, 100, 480)}, "outside of the sensor"),
-        ({"roi": (0, 500, 0, 0)}, "outside of the sensor"),
         ({"binning": (1000, 1)}, "leaves no pixel"),
         ({"width": 2**32 - 1}, "makes no sense"),
         ({"height": -480}, "makes no sense"),
@@ -123,41 +111,11 @@ def test_nonsense_is_refused(changes: dict[str, object], message: str) -> None:
         camera_of(info(**changes), (640, 480), rectified=False)
 
 
-numbers = st.floats(width=64)
-small = st.integers(-3, 700) | st.integers(0, 2**32 - 1)
-
-
-@given(
-    matrices=st.just({})
-    | st.fixed_dictionaries({"k": st.lists(numbers, max_size=10).map(tuple), "p": st.lists(numbers).map(tuple)}),
-    fields=st.fixed_dictionaries(
-        {
-            "d": st.lists(numbers, max_size=15).map(tuple),
-            "distortion_model": st.sampled_from(["plumb_bob", "equidistant", "rational_polynomial", "", "x"]),
-            **dict.fromkeys(("width", "height"), small),
-            "binning": st.tuples(small, small),
-            "roi": st.tuples(small, small, small, small),
-        }
-    ),
-    rectified=st.booleans(),
-)
-@settings(max_examples=300, deadline=None)
-def test_arbitrary_messages_never_raise_anything_else(
-    matrices: dict[str, object], fields: dict[str, object], rectified: bool
-) -> None:
-    try:
-        camera = camera_of(info(**matrices, **fields), (640, 480), rectified)
-    except InputError:
-        return
-    assert (camera.width, camera.height) == (640, 480)
-
-
 @pytest.mark.parametrize(
     ("image", "calibrations", "expected"),
     [
         ("/cam/image_raw", ["/cam/camera_info", "/other/camera_info"], "/cam/camera_info"),
         ("/cam/image_raw/compressed", ["/cam/camera_info", "/other/camera_info"], "/cam/camera_info"),
-        ("/cam/image", ["/cam/calibration", "/other/calibration"], "/cam/calibration"),
         ("/camera/color/image_raw", ["/camera/depth/camera_info", "/camera/color/camera_info"],
          "/camera/color/camera_info"),
         ("/camera/color/image_raw", ["/camera/depth/camera_info"], None),
@@ -167,20 +125,16 @@ def test_arbitrary_messages_never_raise_anything_else(
         ("/robot/left_image", ["/robot/left_camera_info", "/robot/right_camera_info"], "/robot/left_camera_info"),
         ("/robot/left/image", ["/robot/left_camera_info", "/robot/right_camera_info"], "/robot/left_camera_info"),
         ("/robot/image", ["/robot/left_camera_info", "/robot/right_camera_info"], None),
-        ("/robot/image", ["/robot/left/camera_info", "/robot/right/camera_info"], None),
         ("/rgb/image", ["/rgb/image/camera_info", "/rgb/camera_info"], "/rgb/image/camera_info"),
         ("/CAM_FRONT/image_rect_compressed", ["/CAM_FRONT/camera_info", "/CAM_BACK/camera_info"],
          "/CAM_FRONT/camera_info"),
         ("/image_raw", ["/camera_info", "/left/camera_info"], "/camera_info"),
-        ("/image_raw/compressed", ["/camera_info", "/left/camera_info"], "/camera_info"),
         ("/right/image_raw", ["/camera_info", "/left/camera_info"], None),
         ("/image_raw", ["/usb_cam/camera_info"], "/usb_cam/camera_info"),
         ("/cam/image_raw", ["/camera_info"], "/camera_info"),
         ("/cam/image_raw", ["/cam/info/camera_info"], "/cam/info/camera_info"),
-        ("/front/image", ["/rear/camera_info"], None),
         ("/front/image", ["/fr/camera_info"], None),
         ("image", ["camera_info"], "camera_info"),
-        ("/cam/image", [], None),
         ("", ["/", "/a", "/b"], None),
     ],
 )  # fmt: skip
@@ -194,9 +148,7 @@ def test_which_calibration_belongs_to_an_image_topic(image: str, calibrations: l
     [
         ("/left/image_rect", True),
         ("/left/image_rect_color/compressed", True),
-        ("/camera/infra1/image_rect_raw", True),
         ("/zed/rgb/rect/image", True),
-        ("/cam/image_rectified", True),
         ("/left/image_raw", False),
         ("/rectangles/image", False),
         ("/zed/rgb/unrectified/image", False),

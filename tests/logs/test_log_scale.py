@@ -14,7 +14,6 @@ from logs.messages.types import EncodedImage, RawImage, UndecodableError
 from tests.helpers.camera_messages import picture, rendered
 
 NOISE = np.random.default_rng(3).integers(0, 65536, (64, 96)).astype(np.uint16)
-PNG = cv2.imencode(".png", picture())[1].tobytes()
 
 
 def thermal(shift: float = 0, gain: float = 1) -> np.ndarray:
@@ -58,7 +57,7 @@ def test_decoder_gives_eight_bits_and_stamps() -> None:
     ((stamp, image),) = decoder.decode(RawImage(5, "", 640, 480, "mono16", 0, False, thermal().data.cast("B")))
     assert stamp == 5
     np.testing.assert_array_equal(image, SteadyScale()(thermal()))
-    ((_, image),) = decoder.decode(EncodedImage(6, "", PNG))
+    ((_, image),) = decoder.decode(EncodedImage(6, "", cv2.imencode(".png", picture())[1].tobytes()))
     np.testing.assert_array_equal(image, picture())
     with pytest.raises(UndecodableError):
         decoder.decode(EncodedImage(7, "", b"?"))

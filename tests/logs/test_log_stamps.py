@@ -33,23 +33,6 @@ def stamps(headers: list[int], logged: list[int], source: TimeSource = "header")
     return found, clock
 
 
-def test_each_time_source(caplog: pytest.LogCaptureFixture) -> None:
-    headers, logged = [EPOCH, EPOCH + 5], [100, 200]
-    assert stamps(headers, logged)[0] == headers
-    assert stamps(headers, logged, "log")[0] == logged
-    assert stamps(headers, logged, "publish")[0] == [107, 207]
-    assert not caplog.records
-
-
-def test_headers_that_are_never_set_fall_back_to_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    found, clock = stamps([0, 0, 0], [EPOCH, EPOCH + 10, EPOCH + 20])
-    assert found == [EPOCH, EPOCH + 10, EPOCH + 20]
-    assert clock.faults == {"are zero": 3}
-    (record,) = caplog.records
-    assert "drive: header times are zero at 1700000000.000 s" in record.getMessage()
-    assert "--time-source log" in record.getMessage()
-
-
 @pytest.mark.parametrize(
     ("broken", "fault"),
     [

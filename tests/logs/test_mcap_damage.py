@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import time
 import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
@@ -13,8 +12,6 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
 from mcap.records import DataEnd, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
@@ -94,9 +91,7 @@ def test_cut_anywhere(tmp_path: Path, options: dict[str, bool]) -> None:
 
 @pytest.mark.parametrize("summary", [True, False])
 @pytest.mark.parametrize("compression", CompressionType)
-def test_a_damaged_chunk_costs_only_itself(
-    tmp_path: Path, open_log: Open, compression: CompressionType, summary: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_chunk_costs_only_itself(tmp_path, open_log, compression, summary, caplog):
     path = tmp_path / "a.mcap"
     places = write_chunks(path, CHUNKS, compression=compression, repeat_channels=summary)
     data = bytearray(path.read_bytes())
@@ -143,17 +138,6 @@ def test_a_chunk_without_crc_whose_records_do_not_fill_it(tmp_path: Path, open_l
     assert log.lost == {"damaged chunk": 1}
 
 
-def test_zeros_at_the_end(tmp_path: Path, open_log: Open, caplog: pytest.LogCaptureFixture) -> None:
-    """What a loss of power leaves on some file systems."""
-    path = tmp_path / "a.mcap"
-    places = write_chunks(path, CHUNKS)
-    path.write_bytes(path.read_bytes()[: places[7][0]] + bytes(100_000))
-    log = open_log(path)
-    assert_read(log, SENT[:42])
-    assert log.lost == {BEHIND: 1}
-    assert_warned_once(caplog)
-
-
 def bombs() -> dict[str, bytes]:
     """Chunks that claim or become too much."""
     zeros = bytes(64 << 20)
@@ -177,22 +161,20 @@ def bombs() -> dict[str, bytes]:
     }
 
 
-@pytest.mark.parametrize("name", bombs())
-def test_bombs(tmp_path: Path, open_log: Open, name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_bombs(tmp_path: Path, open_log: Open, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "a.mcap"
     places = write_chunks(path, CHUNKS, repeat_channels=False)
     data = path.read_bytes()
-    path.write_bytes(data[: places[4][0]] + bombs()[name] + data[places[4][0] :])
-    tracemalloc.start()
-    began = time.monotonic()
-    log = open_log(path)
-    assert_read(log, SENT)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert time.monotonic() - began < 5
-    assert peak < 8 << 20
-    assert sum(log.lost.values()) == 1
-    assert_warned_once(caplog)
+    for name, bomb in bombs().items():
+        path.write_bytes(data[: places[4][0]] + bomb + data[places[4][0] :])
+        tracemalloc.start()
+        log = open_log(path)
+        assert_read(log, SENT)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 8 << 20, name
+        assert sum(log.lost.values()) == 1, name
+        assert_warned_once(caplog)
 
 
 def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> None:
@@ -205,39 +187,3 @@ def test_messages_of_channels_without_schema(tmp_path: Path, open_log: Open) -> 
     log = open_log(path)
     assert_read(log, [message for message in SENT[:12] if message.channel != 1])
     assert log.lost == {"messages of unknown channels": sum(message.channel == 1 for message in SENT[:12])}
-
-
-@given(
-    changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=0, max_size=12)), max_size=4),
-    removed=st.tuples(st.floats(0, 1), st.integers(0, 300)),
-    compression=st.sampled_from(CompressionType),
-    kind=st.sampled_from(["crc", "no crc", "unchunked"]),
-    topic=st.sampled_from(["/camera", "/imu"]),
-)
-@example(changes=[], removed=(0.0, 139), compression=CompressionType.NONE, kind="crc", topic="/camera")
-@settings(max_examples=300, deadline=2000, suppress_health_check=[HealthCheck.too_slow])
-def test_mutations(
-    tmp_path_factory: pytest.TempPathFactory,
-    changes: list[tuple[float, bytes]],
-    removed: tuple[float, int],
-    compression: CompressionType,
-    kind: str,
-    topic: str,
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "mutated.mcap"
-    options = {"enable_crcs": kind == "crc", "use_chunking": kind != "unchunked", "chunk_size": 700}
-    write(path, SENT[:12], compression=compression, **options)
-    data = bytearray(path.read_bytes())
-    for where, new in changes:
-        place = 8 + int(where * (len(data) - 8))
-        data[place : place + len(new)] = new
-    place = 8 + int(removed[0] * (len(data) - 8))
-    del data[place : place + removed[1]]
-    path.write_bytes(data)
-    with closing(McapFile(path)) as log:
-        if topic in log.topics:
-            found = read(log, topic)
-            read(log, topic, 1050)
-            if kind == "crc":
-                assert set(found) <= set(on_topic(SENT[:12], topic))
-                assert len(set(found)) == len(found)

@@ -57,13 +57,7 @@ def bytes_read() -> int:
 
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("chunk_size", [1, 2000, 1 << 20])
-def test_whole_log(
-    tmp_path: Path,
-    open_log: Open,
-    compression: CompressionType,
-    chunk_size: int,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_whole_log(tmp_path, open_log, compression, chunk_size, caplog):
     log = open_log(write(tmp_path / "drive.mcap", SENT, compression=compression, chunk_size=chunk_size))
     assert log.name == "drive"
     assert log.span_ns == (1000, 1590)
@@ -82,9 +76,7 @@ def test_whole_log(
 
 
 @pytest.mark.parametrize("options", WITHOUT_INDEX + WITH_INDEX, ids=str)
-def test_parts_of_the_index_are_missing(
-    tmp_path: Path, open_log: Open, options: dict[str, Any], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_parts_of_the_index_are_missing(tmp_path, open_log, options, caplog):
     sent = SENT.copy()
     random.Random(1).shuffle(sent)
     log = open_log(write(tmp_path / "a.mcap", sent, chunk_size=2000, **options))
@@ -104,9 +96,7 @@ def test_parts_of_the_index_are_missing(
     summary=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_order_of_time_across_chunks(
-    tmp_path_factory: pytest.TempPathFactory, times: list[list[int]], start_ns: int | None, summary: bool
-) -> None:
+def test_order_of_time_across_chunks(tmp_path_factory, times, start_ns, summary):
     path = tmp_path_factory.mktemp("order") / "a.mcap"
     numbers = iter(range(99))
     chunks = [[Sent(1 + log_ns % 2, log_ns, 0, 0, bytes([next(numbers)])) for log_ns in part] for part in times]
@@ -156,9 +146,7 @@ def test_chunks_without_the_topic_are_not_read(tmp_path: Path, open_log: Open) -
         assert bytes_read() - before < 5 * (20_000 + 5 * io.DEFAULT_BUFFER_SIZE)
 
 
-def test_only_overlapping_chunks_are_held(
-    tmp_path: Path, open_log: Open, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_only_overlapping_chunks_are_held(tmp_path, open_log, monkeypatch, caplog):
     sent = messages(200)
     path = tmp_path / "a.mcap"
     write_chunks(path, chunked(sent, 10))

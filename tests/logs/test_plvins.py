@@ -12,14 +12,11 @@ from mcap_ros1.decoder import DecoderFactory
 from airline.errors import ConfigError, InputError
 from logs.sinks import plvins
 from logs.sinks.plvins import PlVinsTrackSink
-from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, write_all
 
 
 def write(path, stream) -> None:
-    sink = PlVinsTrackSink(path)
-    for tracks in stream:
-        sink.write(result_of(tracks))
-    sink.close()
+    write_all(PlVinsTrackSink(path), stream)
 
 
 def read(path):
@@ -96,15 +93,11 @@ def test_numbers_stay_exact_in_float32(tmp_path, monkeypatch):
 
 
 def test_without_a_camera_it_names_the_flag(tmp_path):
-    sink = PlVinsTrackSink(tmp_path / "plvins.mcap")
     with pytest.raises(ConfigError, match="--calib"):
-        sink.write(result_of(made_tracks(0, 0, np.arange(3), np.random.default_rng(0), camera=None)))
-    sink.close()
+        write(tmp_path / "p.mcap", [made_tracks(0, 0, np.arange(3), np.random.default_rng(0), camera=None)])
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2**32 * 10**9])
 def test_times_that_ros_1_does_not_have(tmp_path, stamp_ns):
-    sink = PlVinsTrackSink(tmp_path / "plvins.mcap")
     with pytest.raises(InputError, match="ROS 1 has no time"):
-        sink.write(result_of(made_tracks(0, stamp_ns, np.arange(3), np.random.default_rng(0))))
-    sink.close()
+        write(tmp_path / "p.mcap", [made_tracks(0, stamp_ns, np.arange(3), np.random.default_rng(0))])

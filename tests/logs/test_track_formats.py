@@ -25,7 +25,15 @@ from logs.sinks.open import open_track_sink
 from logs.sinks.parquet import ParquetTrackSink, journal_of
 from logs.tracks.json import SCHEMA, decode_tracks, encode_tracks
 from tests.helpers.command import ROOT
-from tests.helpers.made_tracks import assert_all_same, assert_same, clip_results, made_tracks, result_of, streams
+from tests.helpers.made_tracks import (
+    assert_all_same,
+    assert_same,
+    clip_results,
+    made_tracks,
+    result_of,
+    streams,
+    write_all,
+)
 
 CLIP = [made_tracks(k, k, np.arange(3 + k), np.random.default_rng(k), lost=k, ended=1) for k in range(3)]
 
@@ -68,10 +76,7 @@ FORMATS = [by_json, by_message, by_mcap, by_parquet, by_journal]
 
 
 def write(stream: list[LineTracks], path: Path) -> Path:
-    sink = open_track_sink(str(path), overwrite=True)
-    for tracks in stream:
-        sink.write(result_of(tracks))
-    sink.close()
+    write_all(open_track_sink(str(path), overwrite=True), stream)
     return path
 
 

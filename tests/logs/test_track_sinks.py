@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -93,67 +91,8 @@ def test_a_leftover_journal_is_named(tmp_path):
     sink.close()
 
 
-WRITER = """
-import sys, time
-from tests.helpers.made_tracks import result_of
-from tests.logs.test_track_sinks import expected
-from logs.sinks.open import open_track_sink
-sinks = [open_track_sink(spec) for spec in sys.argv[2:]]
-for k, tracks in enumerate(expected(3000)):
-    for sink in sinks:
-        sink.write(result_of(tracks))
-    print(k, flush=True)
-    time.sleep(0.01)
-"""
-
-
 def expected(count: int) -> list[LineTracks]:
     return [made_tracks(k, k * 10_000_000, np.arange(60), np.random.default_rng(k), lost=k % 3) for k in range(count)]
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory):
-    """A folder of outputs of a process killed in the middle, and how many frames it wrote more than 1.3 s before."""
-    folder = tmp_path_factory.mktemp("killed")
-    command = [sys.executable, "-c", WRITER, "-", *(f"{folder}/{name}" for name in ALL)]
-    written: list[float] = []
-    due = 0
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-        while due < 20:
-            process.stdout.readline()
-            written.append(time.monotonic())
-            due = sum(when < written[-1] - 1.3 for when in written)
-        process.kill()
-        process.stdout.read()
-    return folder, due
-
-
-def test_after_a_kill_all_but_the_last_second_is_there(killed):
-    folder, due = killed
-    for name in ("all.mcap", "all.parquet.unfinished"):
-        found = list(read_tracks(folder / name))
-        assert len(found) >= due, name
-        assert_all_same(found, expected(len(found)))
-    assert not (folder / "all.parquet").exists()
-    with (folder / "all.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) >= 60 * due
-    assert all(None not in row.values() and row["d5"] for row in rows), "whole lines"
-    images = [row.split(",")[0] for row in (folder / "limap/images.csv").read_text().splitlines()[1:]]
-    assert len(images) >= due
-    for image in images:
-        assert (folder / f"limap/line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
-        assert (folder / f"limap/line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
-
-
-def test_a_journal_becomes_a_clean_file(killed, tmp_path, capsys):
-    journal = tmp_path / "t.parquet.unfinished"
-    journal.write_bytes((killed[0] / "all.parquet.unfinished").read_bytes())
-    before = list(read_tracks(journal))
-    assert main([str(journal)]) == 0  # python -m logs.repair
-    assert capsys.readouterr().out == f"{tmp_path / 't.parquet'}: finished, {60 * len(before)} rows\n"
-    assert_all_same(list(read_tracks(tmp_path / "t.parquet")), before)
-    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 
 
 def clip_journal(path: Path) -> tuple[bytes, list[int]]:
@@ -167,6 +106,17 @@ def clip_journal(path: Path) -> tuple[bytes, list[int]]:
     whole = journal.read_bytes()
     sink.close()
     return whole, ends
+
+
+def test_a_journal_becomes_a_clean_file(tmp_path, capsys):
+    journal = tmp_path / "t.parquet.unfinished"
+    journal.write_bytes(clip_journal(tmp_path / "whole.parquet")[0])
+    (tmp_path / "whole.parquet").unlink()
+    before = [result.tracks for result in clip_results()]
+    assert main([str(journal)]) == 0  # python -m logs.repair
+    assert capsys.readouterr().out == f"{tmp_path / 't.parquet'}: finished, {sum(map(len, before))} rows\n"
+    assert_all_same(list(read_tracks(tmp_path / "t.parquet")), before)
+    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 
 
 def test_a_journal_cut_anywhere(tmp_path, caplog):

@@ -15,14 +15,11 @@ from logs.read import read_tracks
 from logs.sinks.csv import CsvTrackSink
 from logs.sinks.parquet import ParquetTrackSink
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
-from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, write_all
 
 
 def write(path, stream) -> None:
-    sink = (ParquetTrackSink if path.suffix == ".parquet" else CsvTrackSink)(path)
-    for tracks in stream:
-        sink.write(result_of(tracks))
-    sink.close()
+    write_all((ParquetTrackSink if path.suffix == ".parquet" else CsvTrackSink)(path), stream)
 
 
 @pytest.fixture(scope="module")
@@ -114,11 +111,9 @@ def test_csv_without_rows_has_a_header(tmp_path):
 
 def test_csv_with_another_descriptor(tmp_path):
     rng = np.random.default_rng(0)
-    sink = CsvTrackSink(tmp_path / "t.csv")
-    sink.write(result_of(made_tracks(0, 0, np.arange(3), rng)))
+    stream = [made_tracks(k, k, np.arange(3), rng, length=6 - k) for k in range(2)]
     with pytest.raises(InputError, match="frame 1 has 5"):
-        sink.write(result_of(made_tracks(1, 1, np.arange(3), rng, length=5)))
-    sink.close()
+        write(tmp_path / "t.csv", stream)
 
 
 def altered(path, out, change) -> None:
@@ -147,20 +142,16 @@ def column(name, values):
         (lambda table, notes: (table.cast(pa.schema([f.with_type(pa.float64()) if f.name == "x0" else f
                                                      for f in table.schema])), notes), "no column 'x0'"),
         (lambda table, notes: (table, {}), "notes"),
-        (lambda table, notes: (table, {**notes, b"cameras": b"[{"}), "notes"),
         (lambda table, notes: (table, {**notes, b"cameras": b'[{"from": 0, "camera": {"width": 0}}]'}), "notes"),
         (lambda table, notes: (table, {**notes, b"frames without rows": b'[{"place": 0, "tracks": 3}]'}), "notes"),
         (lambda table, notes: (table.slice(1), notes), "first of a frame"),
         (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
         (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
         (column("lost_ids", lambda values: [v if v is None else [*v, 7] for v in values]), "different lengths"),
-        (column("lost_ids", lambda values: [v if v is None else [None] for v in values]), "missing"),
         (column("state", lambda values: [9] * len(values)), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
         (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
-        (column("stamp_ns", lambda values: [*values[:-1], 0]), "disagree"),
         (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
-        (column("descriptor", lambda values: [None, *values[1:]]), "numbers are missing"),
     ],
 )  # fmt: skip
 def test_tables_of_others_are_refused_in_one_sentence(path, tmp_path, change, complaint):
