@@ -47,9 +47,8 @@ class Source:
         first_stamp_ns: stamp of the first frame, from which `seek` counts; None for a source that cannot seek.
     """
 
-    if (
-        TYPE_CHECKING
-    ):  # read only for who uses a source; who writes one may have properties or attributes of these names
+    # read-only for those who use a source; who writes one may have properties or attributes of these names
+    if TYPE_CHECKING:
 
         @property
         def name(self) -> str: ...

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from airline.errors import InputError
+from airline.errors import InputError, from_extra
 from airline.image import to_uint8
 from viz.rerun_private import CORNER
 
@@ -175,7 +175,8 @@ class _Images:
 
     def take(self, rows: Any, k: int) -> None:
         if "AssetVideo:blob" in rows.schema.names:
-            import av
+            with from_extra("video"):
+                import av
 
             self._video = av.open(io.BytesIO(_bytes(rows, k, "AssetVideo:blob")), "r").decode(video=0)
             self._shown = self._next = next(self._video, None)
