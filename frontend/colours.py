@@ -24,9 +24,8 @@ def hsv_to_rgb(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArr
 def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
     """Colours that stay with a track's id: bright, and far apart for ids that follow each other.
 
-    Hues step by the golden ratio, which spreads any run of ids evenly over the circle; saturation changes more slowly,
-    so that ids whose hues come close again still differ. Value stays high: lines lie on dark and bright pictures. After
-    `CYCLE` ids the colours come round.
+    Hues step by the golden ratio, which spreads any run of ids evenly; saturation changes more slowly, for ids whose
+    hues come close again. After `CYCLE` ids the colours come round.
 
     Args:
         ids: (N,) int64 track ids.
@@ -35,12 +34,8 @@ def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = 
     Returns:
         (N, 3) uint8 RGB.
     """
-    bright, pale = _cycle()
-    places = ids % CYCLE
-    colours = bright[places]
-    if confirmed is None:
-        return colours
-    return np.where(confirmed[:, None], colours, pale[places])
+    bright, pale = (colours[ids % CYCLE] for colours in _cycle())
+    return bright if confirmed is None else np.where(confirmed[:, None], bright, pale)
 
 
 @cache

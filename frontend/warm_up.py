@@ -46,13 +46,7 @@ def compile_ahead() -> None:
 
 
 def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    """A throw-away pass through a detector and a tracker.
-
-    Args:
-        detector: it keeps what it loads.
-        config: the tracker's settings.
-        image: an image like those to come.
-    """
+    """A throw-away pass of such an image through a detector, which keeps what it loads, and a tracker."""
     global _helper
     compile_ahead()
     with _few_collections():

@@ -143,9 +143,9 @@ class Recording:
     def _dark(self, panels: list[list[Strips]]) -> Picture:
         """What lines are drawn on without an image, as large as the camera's or as the lines need."""
         if self._size is None:
-            points = [strip for layers in panels for strips in layers for strip in strips.points]
-            far = np.max([strip.max(axis=0) for strip in points], axis=0) if points else np.array([639, 479])
-            self._size = int(np.clip(far[0] + 1, 16, 16384)), int(np.clip(far[1] + 1, 16, 16384))
+            corners = [strip.max(axis=0) for layers in panels for strips in layers for strip in strips.points]
+            width, height = np.clip(np.max(corners or [[639, 479]], axis=0) + 1, 16, 16384)
+            self._size = int(width), int(height)
         return np.full((self._size[1], self._size[0], 3), BACKGROUND, np.uint8)
 
 

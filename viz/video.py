@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
@@ -26,12 +26,13 @@ class VideoReferences:
     def __init__(self, path: Path) -> None:
         self._path = path
         codec, self._size = _codec_and_size(path)
-        asset, stamps = _asset(path)
-        if stamps is None:
-            asset, stamps = _asset(path, _remuxed(path, codec))
-        if stamps is None or not len(stamps):
-            raise ConfigError(f"Rerun cannot play {path}: {OTHERWISE}")
-        self._asset, self._stamps = asset, np.sort(stamps)
+        for contents in (path.read_bytes, lambda: _remuxed(path, codec)):
+            self._asset = rr.AssetVideo(contents=contents(), media_type="video/mp4")
+            with suppress(RuntimeError):
+                self._stamps = np.sort(self._asset.read_frame_timestamps_nanos())
+                if len(self._stamps):
+                    return
+        raise ConfigError(f"Rerun cannot play {path}: {OTHERWISE}")
 
     def start(self, stream: rr.RecordingStream) -> None:
         """Log the file itself, once."""
@@ -60,16 +61,6 @@ def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:
     if codec not in CODECS:
         raise ConfigError(f"Rerun plays {', '.join(CODECS)}, and {path} is {codec}: {OTHERWISE}")
     return codec, size
-
-
-def _asset(path: Path, contents: bytes | None = None) -> tuple[rr.AssetVideo, NDArray[np.int64] | None]:
-    """The file, or other contents instead of it, and the times of its pictures, ns; None if Rerun cannot read it."""
-    data = path.read_bytes() if contents is None else contents
-    asset = rr.AssetVideo(contents=data, media_type="video/mp4")
-    try:
-        return asset, asset.read_frame_timestamps_nanos()
-    except RuntimeError:
-        return asset, None
 
 
 def _remuxed(path: Path, codec: str) -> bytes:

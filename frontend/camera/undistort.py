@@ -48,8 +48,7 @@ class Undistorter:
 def undistorted_camera(camera: CameraModel) -> CameraModel:
     """The pinhole camera without distortion whose image a camera's image fills without a border.
 
-    It has the same size and fx / fy, and sees as much as these allow, but nothing farther off the axis than
-    `WIDEST_DEG`: the image of a fisheye that sees a half-space would be infinitely large.
+    It has the same size and fx / fy, and sees as much as these and `WIDEST_DEG` allow.
 
     Raises:
         InputError: the camera's model has no inverse in the middle of its image.

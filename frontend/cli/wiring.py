@@ -26,11 +26,11 @@ log = logging.getLogger(__name__)
 
 
 def open_input(spec: str | None, config: RunConfig) -> Source:
-    """The frames that the input stands for, with their camera, as the settings want them.
+    """The frames that an input stands for, as the settings want them; in series nothing is dropped of a live source.
 
     Args:
         spec: a log, or whatever `frontend.open_source` takes; None for the built-in clip.
-        config: the settings; in series nothing is dropped of a live source.
+        config: the settings.
     """
     from frontend.sources import open_source
     from frontend.sources.pace import FreshFrames, RealtimeSource

@@ -58,8 +58,7 @@ class LiveSource(Source):
         self._stopped = threading.Event()
 
     def __iter__(self) -> Iterator[Frame]:
-        index = 0
-        last_ns = 0
+        index = last_ns = 0
         while not self._stopped.is_set():
             found = read_image(self._capture) or (self._read_again() if index else None)
             if found is None:
