@@ -30,8 +30,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     unfinished = ParquetTrackSink(folder / "killed.parquet")
     for result in clip_results():
         unfinished.write(result)
-    unfinished._writer.flush()
-    unfinished._output.file.flush()
+    unfinished.flush()
     yield folder
     unfinished.close()
 
