@@ -50,7 +50,7 @@ def line_angles(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     doubled = np.arange(descriptors.shape[1]) * (2 * np.pi / descriptors.shape[1])
     basis = np.stack([np.cos(doubled), np.sin(doubled)], axis=1).astype(np.float32)
-    c, s = np.ascontiguousarray((descriptors @ basis).T)  # contiguous: numpy's vector instructions want that
+    c, s = np.ascontiguousarray((descriptors @ basis).T)  # contiguous: numpy's SIMD code wants that
     angles: NDArray[np.float32] = np.arctan2(s, c) / 2
     return np.asarray(angles + np.float32(np.pi) * (angles < 0), np.float32)
 

@@ -1,1 +1,1 @@
-"""Parts of the commands `python -m airline.evaluate` and `python -m airline.evaluation.ablate`."""
+"""Parts of the command `python -m airline.evaluate`."""

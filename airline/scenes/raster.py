@@ -102,7 +102,7 @@ def _rasterize(functions, bounds, samples, first_row, columns, nearest, index): 
 
 @njit()
 def _fill(nearest, index, columns, slope, constant, face):  # type: ignore[no-untyped-def]
-    """Z-buffer one span; written without branches so that it compiles to vector instructions."""
+    """Z-buffer one span; written without branches so that it compiles to SIMD instructions."""
     for k in range(len(nearest)):
         w = slope * columns[k] + constant
         closer = w > nearest[k]

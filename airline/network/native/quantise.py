@@ -1,4 +1,4 @@
-"""The network's weights as whole numbers, in the order in which the vector code takes them."""
+"""The network's weights as whole numbers, in the order in which the SIMD code takes them."""
 
 from __future__ import annotations
 
