@@ -79,7 +79,7 @@ def test_table_and_json_hold_the_same_figures(run: Run) -> None:
     assert list(figures["stage_ms"]) == STAGES
     assert min(figures["stage_ms"].values()) > 0
     assert (figures["frames"], figures["skipped_frames"]) == (FRAMES, 0)
-    shown = dict(re.findall(r"([a-z][a-z/ ,]*[a-z])  +\S (\S+) ", run.outcome.out))
+    shown = dict(re.findall(r"([a-z][a-z/ ,]*[a-z]) +\S (\S+) ", run.outcome.out))
     names = ["frames", "fps", "latency_ms", "lines_per_frame", "live_tracks_per_frame", "tracks", "track_length_median"]
     expected = [*(figures[name] for name in names), *figures["stage_ms"].values()]
     titles = ["frames", "frames/s", "latency, median ms", "lines per frame", "live tracks per frame", "tracks"]
