@@ -19,10 +19,10 @@ from airline.kernels.threads import ThreadTeam, cores
 from airline.lines import LineSet
 from airline.stages.edges import CannyEdges, EdgeDetector, UNetEdges
 from airline.stages.fit import LineFitter, PaperFitter, TotalLeastSquaresFitter
-from airline.stages.grow import RegionGrower
+from airline.stages.grow import Grower, RegionGrower
 from airline.stages.orientation import GradientOrientation, LineKernelOrientation, OrientationDetector
 from airline.stages.pixels import PixelSelector, RidgePixels, ThresholdPixels
-from airline.stages.refine import ImageRefiner
+from airline.stages.refine import ImageRefiner, Refiner
 from airline.trace import Trace
 
 P = ParamSpec("P")
@@ -46,9 +46,9 @@ class AirLine:
     edges: EdgeDetector
     pixels: PixelSelector
     orientation: OrientationDetector
-    grower: RegionGrower
+    grower: Grower
     fitter: LineFitter
-    refiner: ImageRefiner
+    refiner: Refiner
 
     def __init__(
         self,
@@ -96,15 +96,14 @@ class AirLine:
 
     def trace(self, image: ArrayLike) -> Trace:
         """Line segments of an image with every intermediate result; same arguments and errors as calling."""
-        gray, edges, edges_ms = self.detect_edges(image)
-        return self.trace_edges(edges, gray, edges_ms)
+        return self.trace_edges(*self.detect_edges(image))
 
-    def detect_edges(self, image: ArrayLike) -> tuple[Gray, NDArray[np.float32], float]:
-        """The grey image, its (H, W) edge probability, and the milliseconds that took: what `trace_edges` takes."""
+    def detect_edges(self, image: ArrayLike) -> tuple[NDArray[np.float32], Gray, float]:
+        """(H, W) edge probability, the grey image, and the milliseconds that took: what `trace_edges` takes."""
         gray = to_gray(image)
         started = time.perf_counter()
         edges = self.edges.detect(gray)
-        return gray, edges, 1e3 * (time.perf_counter() - started)
+        return edges, gray, 1e3 * (time.perf_counter() - started)
 
     def trace_edges(self, edges: NDArray[np.float32], gray: Gray | None = None, edges_ms: float = 0.0) -> Trace:
         """The stages after edge detection, on an edge map of your own.
@@ -139,9 +138,8 @@ class AirLine:
         every two cores at once. Images are taken as they are needed.
         """
 
-        def lines_of(detected: Future[tuple[Gray, NDArray[np.float32], float]]) -> LineSet:
-            gray, edges, _ = detected.result()
-            return self.trace_edges(edges, gray).lines
+        def lines_of(detected: Future[tuple[NDArray[np.float32], Gray, float]]) -> LineSet:
+            return self.trace_edges(*detected.result()).lines
 
         at_once = max(1, self._threads // 2)
         under_way: deque[Future[LineSet]] = deque()

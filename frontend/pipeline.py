@@ -1,7 +1,7 @@
 """The way of a frame: a source reads it, the detector finds its lines, the tracker names them, the sinks write them.
 
     source ──> detect_edges ──> trace_edges ──> tracker.update ──> sinks
-     Frame      Gray, edges        Trace           LineTracks      FrameResult
+     Frame      edges, Gray        Trace           LineTracks      FrameResult
 
 `run_pipeline` goes that way for the command lines, `LineFrontend.stream` for programs that use the library. All four
 steps run at once, each on another frame.
@@ -25,11 +25,11 @@ from airline.kernels.threads import cores
 from airline.trace import Trace
 from frontend.cli.signals import uninterrupted
 from frontend.frame import Frame
+from frontend.pipelined import pipelined
 from frontend.protocols import FrameResult, Sink, Source
 from frontend.sources import open_source
 from frontend.sources.pace import MAX_LATENCY_S, FreshFrames
 from frontend.sources.wrapped import Peeked
-from frontend.stages import pipelined
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
 from frontend.warm_up import warm_up
@@ -136,7 +136,7 @@ class LineFrontend:
         """All that is known of every frame of a source, in order.
 
         Reading, edge detection, the stages after it and tracking run in a thread each, so that their work on different
-        frames overlaps; see `frontend.stages.pipelined` for errors and for the end. Close the generator to stop early.
+        frames overlaps; see `frontend.pipelined.pipelined` for errors and for the end. Close the generator to stop early.
 
         Args:
             source: the frames; stopped at the end, and left open. Of a live one, a frame is taken only when the edge
@@ -152,12 +152,12 @@ class LineFrontend:
         """Detect and track in the next frame of a stream."""
         return self._track(self._trace(self._detect(frame)))
 
-    def _detect(self, frame: Frame) -> tuple[Frame, Gray, NDArray[np.float32], float]:
+    def _detect(self, frame: Frame) -> tuple[Frame, NDArray[np.float32], Gray, float]:
         return frame, *self.detector.detect_edges(frame.gray)
 
-    def _trace(self, detected: tuple[Frame, Gray, NDArray[np.float32], float]) -> tuple[Frame, Trace]:
-        frame, gray, edges, edges_ms = detected
-        return frame, self.detector.trace_edges(edges, gray, edges_ms)
+    def _trace(self, detected: tuple[Frame, NDArray[np.float32], Gray, float]) -> tuple[Frame, Trace]:
+        frame, *edges = detected
+        return frame, self.detector.trace_edges(*edges)
 
     def _track(self, traced: tuple[Frame, Trace]) -> FrameResult:
         frame, trace = traced

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,14 @@ from numpy.typing import NDArray
 from airline.config import GrowConfig
 from airline.kernels.compiled import njit
 from airline.stages.pixels import EdgePixels
+
+
+class Grower(Protocol):
+    """Groups edge pixels into regions, of which each is to become a line."""
+
+    def grow(self, edge: EdgePixels, descriptors: NDArray[np.float32]) -> NDArray[np.int32]:
+        """(M,) int32 region of each of M edge pixels with (M, C) float32 descriptors, from 0; -1 for none."""
+        ...
 
 
 @dataclass(frozen=True)

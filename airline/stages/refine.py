@@ -8,6 +8,7 @@ drawn towards zero, then moves the line: much where the image is clear, hardly w
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -26,6 +27,14 @@ ACROSS = 6  # samples across a line, 1 px apart
 MARGIN = 3  # px that a profile reaches to either side
 ROUNDING = 0.3  # grey levels squared, variance of a difference of two exact neighbours
 TWO, THREE, FOUR, FIVE = (np.uint64(value) for value in (2, 3, 4, 5))
+
+
+class Refiner(Protocol):
+    """Moves lines to where the image has them."""
+
+    def refine(self, lines: LineSet, gray: Gray) -> LineSet:
+        """The N lines at their refined places in a (H, W) uint8 or uint16 image."""
+        ...
 
 
 @dataclass(frozen=True)

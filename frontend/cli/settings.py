@@ -103,7 +103,7 @@ def load(path: Path | None, flags: dict[str, Any]) -> RunConfig:
         return msgspec.convert(_merge(base, chosen), RunConfig)
     except msgspec.ValidationError as error:
         what, _, where = str(error).partition(" - at `$.")
-        raise ConfigError(f"setting {where.rstrip('`')}: {what}; --dump-config prints all settings") from None
+        raise ConfigError(f"setting {where.rstrip('`') or 'file'}: {what}; --dump-config prints all settings") from None
 
 
 def dump(config: RunConfig) -> str:

@@ -46,8 +46,9 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
         return "limap", path
     if name.endswith("plvins.mcap"):
         return "plvins", path
-    if path.suffix.lower() in (".mcap", ".parquet", ".csv"):
-        return path.suffix.lower()[1:], path
+    kind = path.suffix.lower().removeprefix(".")
+    if kind in KINDS.keys() - {"plvins", "limap"}:
+        return kind, path
     raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
 
 

@@ -193,7 +193,7 @@ def test_any_stage_may_be_replaced(airline):
 
 
 def test_edges_and_the_other_stages_one_after_the_other(airline):
-    gray, edges, milliseconds = airline.detect_edges(cv2.merge([room()] * 3))
+    edges, gray, milliseconds = airline.detect_edges(cv2.merge([room()] * 3))
     assert np.array_equal(gray, room())
     assert milliseconds > 0
     trace = airline.trace_edges(edges, gray, milliseconds)

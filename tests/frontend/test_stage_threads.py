@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frontend.stages import WAITING, WAITING_LIVE, pipelined
+from frontend.pipelined import WAITING, WAITING_LIVE, pipelined
 
 ROOT = Path(__file__).parents[2]
 
@@ -193,7 +193,7 @@ def test_results_are_let_go() -> None:
 def test_a_program_that_stops_in_the_middle_ends(end: str) -> None:
     code = f"""
 from itertools import count
-from frontend.stages import pipelined
+from frontend.pipelined import pipelined
 results = pipelined(count(), lambda n: n + 1, lambda n: 2 * n)
 assert next(results) == 2
 {end}
