@@ -1,7 +1,8 @@
 """Plug in other edge detectors: `python examples/05_another_edge_detector.py [--dexined FILE] [--out PICTURE] [IMAGE]`.
 
-Beside the default network: Canny, and a torch module of a few lines. `--dexined` adds kornia's DexiNed with
-weights of yours, a .safetensors file or a state dict of torch.save; no code in them is run. Any object whose `detect` turns a grey image into edge probabilities will do, see `airline.EdgeDetector`.
+Beside the default network: Canny, and a torch module of a few lines. `--dexined` adds kornia's DexiNed with weights of
+yours, a .safetensors file or a state dict of torch.save; no code in them is run. Any object whose `detect` turns a grey
+image into edge probabilities will do, see `airline.EdgeDetector`.
 """
 
 import argparse

@@ -136,7 +136,7 @@ class LineFrontend:
         """All that is known of every frame of a source, in order.
 
         Reading, edge detection, the stages after it and tracking run in a thread each, so that their work on different
-        frames overlaps; see `frontend.pipelined.pipelined` for errors and for the end. Close the generator to stop early.
+        frames overlaps; see `pipelined` for errors and for the end. Close the generator to stop early.
 
         Args:
             source: the frames; stopped at the end, and left open. Of a live one, a frame is taken only when the edge
@@ -156,8 +156,8 @@ class LineFrontend:
         return frame, *self.detector.detect_edges(frame.gray)
 
     def _trace(self, detected: tuple[Frame, NDArray[np.float32], Gray, float]) -> tuple[Frame, Trace]:
-        frame, *edges = detected
-        return frame, self.detector.trace_edges(*edges)
+        frame, edges, gray, edges_ms = detected
+        return frame, self.detector.trace_edges(edges, gray, edges_ms)
 
     def _track(self, traced: tuple[Frame, Trace]) -> FrameResult:
         frame, trace = traced
