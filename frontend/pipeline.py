@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.detector import AirLine
-from airline.errors import InputError
+from airline.errors import ConfigError, InputError
 from airline.image import Gray
 from airline.kernels.threads import cores
 from airline.trace import Trace
@@ -125,7 +125,7 @@ class LineFrontend:
         Raises:
             InputError: the source cannot be used.
         """
-        opened = open_source(source) if isinstance(source, (str, PathLike)) else source
+        opened = open_source(source) if isinstance(source, (str, PathLike)) else _checked(source)
         if opened.live:
             opened = FreshFrames(opened, max_latency_s)
         with closing(opened), closing(self.results(opened)) as results:
@@ -144,9 +144,9 @@ class LineFrontend:
             serial: do one thing after the other, in the caller's thread. The results are the same.
         """
         if serial:
-            return (self.process(frame) for frame in source)
+            return (self.process(frame) for frame in _checked(source))
         stages = self._detect, self._trace, self._track
-        return pipelined(iter(source), *stages, read_ahead=not source.live, stop=source.stop)
+        return pipelined(iter(_checked(source)), *stages, read_ahead=not source.live, stop=source.stop)
 
     def process(self, frame: Frame) -> FrameResult:
         """Detect and track in the next frame of a stream."""
@@ -167,6 +167,12 @@ class LineFrontend:
         spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
         latency_s = done - frame.read_s
         return FrameResult(frame, trace, tracks, spent, 1e3 * latency_s, time.time_ns() - round(1e9 * latency_s))
+
+
+def _checked(source: Source) -> Source:
+    if not isinstance(source, Source):
+        raise ConfigError(f"{type(source).__name__} is no source of frames: derive it from frontend.Source")
+    return source
 
 
 def open_frontend(config: RunConfig) -> LineFrontend:

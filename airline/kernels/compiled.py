@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
+import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -83,15 +83,16 @@ class _Cache(FunctionCache):
 
 @cache
 def _digest(package: str) -> str:
-    """Of all sources of a package that have to do with numba."""
+    """Of a package's sources that use numba, and of those that they import, whose constants are compiled in."""
+    sources = {}
+    for root in map(Path, getattr(sys.modules.get(package), "__path__", ())):
+        for path in sorted(root.rglob("*.py")):
+            sources[".".join((package, *path.relative_to(root).with_suffix("").parts))] = path.read_bytes()
+    kernels = {name for name, source in sources.items() if b"numba" in source or b"njit" in source}
+    imported = {name.decode() for kernel in kernels for name in re.findall(rb"from ([\w.]+) import", sources[kernel])}
     digest = hashlib.sha256()
-    for root in getattr(sys.modules.get(package), "__path__", ()):
-        for folder, folders, files in os.walk(root):
-            folders[:] = sorted(set(folders) - {"__pycache__"})
-            for name in sorted(files):
-                source = Path(folder, name).read_bytes() if name.endswith(".py") else b""
-                if b"numba" in source or b"njit" in source:
-                    digest.update(source)
+    for name in sorted(kernels | imported & sources.keys()):
+        digest.update(sources[name])
     return digest.hexdigest()[:12]
 
 

@@ -23,7 +23,7 @@ LARGEST = 1e9  # of any calibrated number; beyond it float32 pixels mean nothing
 _MAX_BYTES = 256 * 1024
 _MAX_DEPTH = 32
 _CAMERA = re.compile(r"cam\d{1,4}")
-_OPENCV_SLIPS = re.compile(r"\A%YAML:1\.\d[^\n]*\n|!!opencv-matrix")  # a colon for a space, a tag of its own
+_OPENCV_HEADER = re.compile(r"\A%YAML:1\.\d[^\n]*\n")  # a colon for a space
 
 T = TypeVar("T")
 _Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
@@ -142,9 +142,13 @@ def _simple(tree: Mapping[str, Any]) -> CameraModel:
 
 def _checked(tree: Mapping[str, Any], kind: type[T], prefix: str = "") -> T:
     """The fields of a mapping; lists may also have OpenCV's form {rows, cols, data}."""
-    fields = {name: value.get("data", value) if isinstance(value, dict) else value for name, value in tree.items()}
+    fields = {
+        name: value.get("data", value) if isinstance(value, dict) else value
+        for name, value in tree.items()
+        if isinstance(name, str)
+    }
     try:
-        return msgspec.convert(fields, kind)
+        return msgspec.convert(fields, kind, strict=False)  # numbers may be texts
     except (msgspec.ValidationError, UnicodeError) as error:  # a lone surrogate
         what, _, where = str(error).partition(" - at `$.")
         place = (prefix + where).rstrip(".`")
@@ -172,13 +176,15 @@ def _read(path: Path) -> Any:
             return json.loads(text)
         except (ValueError, RecursionError) as error:
             raise InputError(f"'{path}' is not valid JSON: {error}") from None
-    return _yaml(_OPENCV_SLIPS.sub("", text), path)
+    return _yaml(_OPENCV_HEADER.sub("", text), path)
 
 
 def _yaml(text: str, path: Path) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer
+    from ruamel.yaml.constructor import SafeConstructor
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.nodes import MappingNode, SequenceNode
 
     class Guarded(Composer):
         depth = 0
@@ -194,8 +200,18 @@ def _yaml(text: str, path: Path) -> Any:
             self.depth -= 1
             return node
 
+    class Plain(SafeConstructor):
+        """What has a tag of its own, or would become a date, is read as if it had none."""
+
+        def plain(self, node: Any) -> Any:
+            if isinstance(node, MappingNode):
+                return self.construct_mapping(node, deep=True)
+            return self.construct_sequence(node, deep=True) if isinstance(node, SequenceNode) else node.value
+
+    for tag in (None, "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:binary"):
+        Plain.add_constructor(tag, Plain.plain)
     yaml = YAML(typ="safe", pure=True)
-    yaml.Composer = Guarded
+    yaml.Composer, yaml.Constructor = Guarded, Plain
     try:
         return next(yaml.load_all(text), None)
     except (YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:  # the parser's slips, too

@@ -117,7 +117,7 @@ class FreshFrames(WrappedSource):
                         return
                     if len(self._waiting) == _WAITING:
                         self._drop()
-                    self._waiting.append(frame)
+                    self._waiting.append(replace(frame, read_s=time.perf_counter()))
                     self._changed.notify_all()
                     self._changed.wait_for(lambda: self._stopped or begun or self._asked > 1)
         except BaseException as error:
