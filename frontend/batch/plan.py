@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from natsort import natsorted
 
 from airline.errors import ConfigError, InputError
 from frontend.batch.job import OUTPUTS, REPORT, SUMMARY, Job, JobSettings, Row, row_of
@@ -34,6 +33,8 @@ def find_recordings(patterns: Iterable[str | os.PathLike[str]], out: Path) -> li
     Raises:
         InputError: a pattern without a recording.
     """
+    from natsort import natsorted
+
     found: dict[Path, None] = {}
     results = out.resolve()
     for pattern in patterns:

@@ -42,7 +42,8 @@ def test_what_cannot_be_used_is_said_in_a_sentence(case: str, tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     Path("log.mcap").write_bytes(b"")
     Path("file").write_bytes(b"")
-    module = import_module("frontend.batch.__main__" if name == "batch" else f"frontend.{name}")
+    homes = {"batch": "frontend.batch.__main__", "soak": "tests.helpers.soak"}
+    module = import_module(homes.get(name, f"frontend.{name}"))
     assert message in refusal(*arguments.split(), main=module.main)
     assert not Path("out/report.parquet").exists()
 
