@@ -78,7 +78,7 @@ from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking import appearance, assignment, fusion, overlap
 from airline import AirLine, LineSet
-from airline.stages import extend_ends, fit, refine, score_parts
+from airline.stages import refine, score_parts
 from airline.config import DetectorConfig, EdgeConfig
 settings = DetectorConfig(edges=EdgeConfig(detector="canny"))
 rng = np.random.default_rng(0)
@@ -92,7 +92,7 @@ for index in range(3):
 kernels = [kernel for module in (appearance, assignment, fusion, overlap)
            for kernel in vars(module).values() if hasattr(kernel, "stats")]
 AirLine(config=settings)(image)
-kernels += [kernel for module in (extend_ends, score_parts, refine) for kernel in vars(module).values()
+kernels += [kernel for module in (score_parts, refine) for kernel in vars(module).values()
             if hasattr(kernel, "stats")]
 print(sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
 """
