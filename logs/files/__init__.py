@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ class LogMessage:
     data: Bytes
 
 
-class LogFile:
+class LogFile(ABC):
     """An opened log. Reading never stops at damage: what can be read is read.
 
     Attributes:
@@ -60,13 +61,13 @@ class LogFile:
     span_ns: tuple[int, int] | None
     lost: Counter[str]
 
+    @abstractmethod
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
         """Messages of one of `topics` by log time; those logged before `start_ns` are left out and not read."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Release the file; safe to call twice."""
-        raise NotImplementedError
 
 
 def open_log(path: str | os.PathLike[str]) -> LogFile:
