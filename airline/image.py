@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,8 +47,3 @@ def to_uint8(gray: Gray) -> NDArray[np.uint8]:
     scaled = (gray - np.float32(low)) * np.float32(255 / max(high - low, 1.0))
     stretched: NDArray[np.uint8] = np.clip(scaled, 0, 255).astype(np.uint8)
     return stretched
-
-
-def scale_points(points: NDArray[Any], factor: float) -> NDArray[Any]:
-    """Points of an image, px, where they lie in the image resized by `factor`: pixels' centres count, not corners."""
-    return np.asarray((points + 0.5) * factor - 0.5)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar("T", float, NDArray[Any])
 
 
 @dataclass(frozen=True)
@@ -42,3 +45,8 @@ class LineSet:
         delta = self.segments[:, 1] - self.segments[:, 0]
         angles: NDArray[np.float32] = np.mod(np.arctan2(delta[:, 1], delta[:, 0]), np.float32(np.pi))
         return angles
+
+
+def scale_points(points: T, factor: T | float) -> T:
+    """Positions in an image, px, where they lie in that image resized by `factor`; centres of pixels are whole."""
+    return (points + 0.5) * factor - 0.5

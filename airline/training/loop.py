@@ -19,7 +19,7 @@ from torch.nn import functional
 from airline.detector import AirLine
 from airline.errors import ConfigError, InputError
 from airline.evaluation.metrics import PixelScores, mean, pixel_scores
-from airline.image import scale_points
+from airline.lines import scale_points
 from airline.network.unet import UNet
 from airline.stages.edges import UNetEdges
 from airline.training.crops import Batch, Crops, draw_labels

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
+from airline.lines import scale_points
 from frontend.camera.distortion import (
     distort_equidistant,
     distort_radial_tangential,
@@ -102,7 +103,7 @@ class CameraModel:
     def scaled(self, width: int, height: int) -> CameraModel:
         """The same camera for images resized to width x height px."""
         sx, sy = width / self.width, height / self.height
-        cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
+        cx, cy = scale_points(self.cx, sx), scale_points(self.cy, sy)
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=cx, cy=cy)
 
 

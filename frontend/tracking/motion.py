@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.lines import scale_points
+
 WORKING_SIZE = 480  # px; flow runs on images whose longer side is at most this: less to compute, and a wider reach
 PLACES = np.array([0.25, 0.75], np.float32)  # of the points along a line
 SHORT = 60.0  # px; a shorter line has one point, in its middle
@@ -139,7 +141,7 @@ def _flow(
     returned, back, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, start.copy(), **FLOW_BACK)
     consistent = (there[:, 0] > 0) & (back[:, 0] > 0)
     consistent &= np.linalg.norm((returned - start)[:, 0], axis=1) < MAX_ROUND_TRIP
-    return ((moved[:, 0] + 0.5) * before.factor - 0.5).astype(np.float32), consistent
+    return scale_points(moved[:, 0], before.factor).astype(np.float32), consistent
 
 
 def _same_light(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
