@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 
 class AirLineError(Exception):
@@ -27,3 +28,12 @@ def from_extra(extra: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(f"{error.name} is not installed: pip install 'airline-frontend[{extra}]'") from None
+
+
+@contextmanager
+def errors_of(path: Path) -> Iterator[None]:
+    """Turn the system's errors inside the block, such as a full disk, into an `InputError` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error

@@ -13,10 +13,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from airline.command import Parser, exit_code
-from airline.errors import InputError
+from airline.errors import InputError, errors_of
 from logs.files.mcap_file import McapFile
 from logs.files.mcap_records import CHUNK_LIMIT, UNREADABLE
-from logs.sinks.output import check_new, errors_of, whole_file
+from logs.sinks.output import check_new, whole_file
 
 
 def run(options: argparse.Namespace) -> None:

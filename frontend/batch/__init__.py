@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from airline.errors import ConfigError, InputError, from_extra
+from airline.errors import ConfigError, InputError, errors_of, from_extra
 from frontend.batch.job import UNFINISHED, Job, JobSettings, Row, WorkerDied, run_recording, write_report
 from frontend.batch.plan import find_recordings, job_settings, make_plan
 from frontend.cli.settings import RunConfig
@@ -101,11 +101,9 @@ def reserved(out: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be made or written, or another batch is writing into it.
     """
-    try:
+    with errors_of(out):
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / ".lock").open("a")
-    except OSError as error:
-        raise InputError(f"cannot write '{out}': {error.strerror or error}") from error
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
@@ -177,7 +175,7 @@ def _on_ray(address: str, settings: JobSettings) -> Iterator[Submit]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # tasks see the GPU
     os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # a Ray that we start binds to 127.0.0.1
-    with from_extra("fleet"):
+    with from_extra("ray"):
         import ray
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if address == "local":  # with Ray's least object store: rows are all that it carries

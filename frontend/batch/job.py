@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from airline import __version__
-from airline.errors import InputError
+from airline.errors import errors_of
 from frontend.cli.settings import RunConfig, dump
 
 OUTPUTS = {
@@ -198,9 +198,8 @@ def write_report(out: Path, rows: Collection[Row]) -> None:
     table = json.loads(text.encode("utf-8", "replace"))  # file names may hold bytes that are no text
     path, unfinished = out / REPORT, out / f".{REPORT}.{os.getpid()}"
     try:
-        pq.write_table(pa.Table.from_pylist(table, schema), unfinished)
-        unfinished.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
+        with errors_of(path):
+            pq.write_table(pa.Table.from_pylist(table, schema), unfinished)
+            unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)

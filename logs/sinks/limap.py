@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import ConfigError, InputError
+from airline.errors import ConfigError, InputError, errors_of
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.output import OutputFile, check_folder, errors_of, whole_file
+from logs.sinks.output import OutputFile, check_folder, whole_file
 
 MATCHES = "line_matchings/lsd/feats_lbd"
 IMAGES, CAMERAS, NEIGHBOURS = "images.csv", "cameras.txt", "metainfos.txt"

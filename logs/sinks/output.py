@@ -11,18 +11,9 @@ from typing import BinaryIO
 
 from mcap.writer import Writer
 
-from airline.errors import InputError
+from airline.errors import InputError, errors_of
 
 FLUSH_S = 1.0  # at most so much of the stream is lost when the process is killed
-
-
-@contextmanager
-def errors_of(path: Path) -> Iterator[None]:
-    """Turn the system's errors inside the block, such as a full disk, into an `InputError` that names the file."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def check_new(path: Path, overwrite: bool) -> None:

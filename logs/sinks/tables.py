@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from airline.errors import InputError
+from airline.errors import InputError, errors_of
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.read import read_journal
-from logs.sinks.output import OutputFile, check_new, check_table, errors_of, journal_of, whole_file
+from logs.sinks.output import OutputFile, check_new, check_table, journal_of, whole_file
 from logs.tracks.json import Camera
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
 

@@ -184,7 +184,7 @@ def test_two_batches_do_not_write_into_one_folder(tmp_path: Path) -> None:
 def test_without_ray_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     (tmp_path / "log.mcap").write_bytes(b"")
-    with pytest.raises(AirLineError, match=r"pip install 'airline-frontend\[fleet\]'"):
+    with pytest.raises(AirLineError, match=r"pip install 'airline-frontend\[ray\]'"):
         run_batch([tmp_path / "log.mcap"], tmp_path / "out", ray="auto")
 
 
