@@ -17,9 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.detector import AirLine, compile_last_steps
+from airline.detector import AirLine
 from airline.kernels.threads import cores
 from airline.lines import LineSet
+from airline.stages.fit import TotalLeastSquaresFitter
+from airline.stages.refine import ImageRefiner
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig
@@ -77,7 +79,7 @@ def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16],
 
 def _compile_all() -> None:
     """What the other process does, on a picture and lines in it of the kinds of array that the detector answers."""
-    compile_last_steps()
+    _compile_last_steps()
     image = np.zeros((64, 80), np.uint8)
     image[:, 40:] = 200
     segments = np.array([[[x, 4], [x, 60]] for x in np.linspace(8, 72, 12)], np.float32)
@@ -86,6 +88,19 @@ def _compile_all() -> None:
     _track(TrackerConfig(), image, LineSet(segments, ones, descriptors, ones))
     print("half", flush=True)
     AirLine()(image)
+
+
+def _compile_last_steps() -> None:
+    """The line fit's second half, on one made-up part, and the refinement."""
+    count = 12
+    x, y = np.arange(count) + 3.0, np.full(count, 4.0)
+    sums = [np.sum(values) for values in (np.ones(count), x, y, x * x, x * y, y * y)]
+    moments = np.array([[*sums, x[0], y[0], x[-1], y[-1]]])
+    support, descriptors = np.ones((24, 24), np.float32), np.eye(6, dtype=np.float32)[np.zeros(count, int)]
+    rows, bounds, merged = np.arange(count), np.array([[0, count]]), np.zeros(1, np.int64)
+    lines, _ = TotalLeastSquaresFitter().choose(support, descriptors, (rows, bounds, moments), merged)
+    assert len(lines) == 1
+    ImageRefiner().refine(lines, support.astype(np.uint8))
 
 
 if __name__ == "__main__":
