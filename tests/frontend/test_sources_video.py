@@ -174,6 +174,16 @@ def test_missing_file_folder_and_impossible_names(tmp_path: Path) -> None:
             open_source(spec)
 
 
+def test_a_name_that_is_not_utf8_is_refused(videos: Path, tmp_path: Path) -> None:
+    path = tmp_path / "clip\udcff.avi"
+    try:
+        path.write_bytes((videos / "mjpg.avi").read_bytes())
+    except (OSError, UnicodeEncodeError):
+        pytest.skip("this file system holds UTF-8 names only")
+    with pytest.raises(InputError, match="UTF-8"):
+        VideoSource(path)
+
+
 def test_open_source_prefers_what_exists(videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     data = (videos / "mjpg.avi").read_bytes()

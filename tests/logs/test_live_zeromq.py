@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
+import select
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -21,6 +24,7 @@ from logs import subscribe_tracks
 from logs.sinks.open import Address, open_publisher, parse_address
 from logs.sinks.zeromq import ZmqPublisher
 from logs.tracks.message import encode
+from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks, result_of
 
 LOCAL = "tcp://127.0.0.1:0"
@@ -112,6 +116,32 @@ def test_one_that_never_reads_stops_nobody() -> None:
         stuck.connect(source.address)
         publish(source, frames(3000, lines=200))  # a gigabyte would wait for it
         source.close()
+
+
+READER = """
+import sys
+from logs import subscribe_tracks
+with subscribe_tracks(sys.argv[1]) as subscription:
+    for tracks in subscription:
+        print(tracks.frame_index, flush=True)
+"""
+
+
+def test_one_that_is_killed_harms_nobody() -> None:
+    stream = frames(150)
+    with closing(publisher()) as source, subscribe_tracks(source.address) as other:
+        command = [sys.executable, "-c", READER, source.address]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}) as victim:
+            assert victim.stdout is not None
+            while not select.select([victim.stdout], [], [], 0)[0]:  # it needs time to start
+                publish(source, stream[:1], 0.05)
+            publish(source, stream[1:60], 0.002)
+            victim.kill()
+        publish(source, stream[60:], 0.002)
+        source.close()
+        found = [tracks for tracks in other if tracks.frame_index > 0]
+    assert_all_same(found, stream[1:])
+    assert other.lost == 0
 
 
 def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytest.LogCaptureFixture) -> None:
