@@ -17,13 +17,13 @@ def everywhere(height: int, width: int) -> np.ndarray:
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.int32)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     height=st.integers(1, 30),
     width=st.integers(1, 30),
-    channels=st.sampled_from([2, 3, 4, 6, 8, 12]),
-    size=st.sampled_from([3, 5, 7, 9, 11]),
+    channels=st.sampled_from([2, 6, 12]),
+    size=st.sampled_from([3, 5, 11]),
     subtract_mean=st.booleans(),
 )
 def test_agrees_with_conv2d(seed, height, width, channels, size, subtract_mean):

@@ -18,7 +18,7 @@ from airline.errors import ConfigError
 from frontend.cli.settings import InputConfig, RunConfig, dump, load
 from tests.helpers.command import command
 
-in_one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+in_one_folder = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 SIZES = st.integers(16, 9999)
 STRINGS = {
     "resize": st.one_of(SIZES.map(str), st.tuples(SIZES, SIZES).map(lambda size: f"{size[0]}x{size[1]}")),
