@@ -162,7 +162,7 @@ class LineFrontend:
     def _track(self, traced: tuple[Frame, Trace]) -> FrameResult:
         frame, trace = traced
         started = time.perf_counter()
-        tracks = self.tracker.update(frame, trace.lines)
+        tracks = self.tracker.update(frame, trace.lines, trace.edges)
         done = time.perf_counter()
         spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
         latency_s = done - frame.read_s

@@ -45,12 +45,13 @@ class LineTracker:
         self._stamp_ns = 0
         self._motion = np.eye(3)
 
-    def update(self, frame: Frame, lines: LineSet) -> LineTracks:
+    def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
 
         Args:
             frame: the image, in time order.
             lines: its detected lines.
+            edges: (H, W) float32 edge probability of the image, on which tracks without a line are looked for.
         """
         gray = to_uint8(frame.gray)
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
@@ -175,15 +176,20 @@ class LineTracker:
             segments_px=here.segments,
             observed_px=observed,
             covariances=with_bias(here.covariances),
+            observed_covariances=line_covariances(lines.segments, lines.residuals)[rows],
             scores=lines.scores[rows],
             descriptors=here.descriptors,
             states=np.where(confirmed[line_of >= 0], TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
             ages=(frame.index - here.born).astype(np.int32),
             hits=here.hits,
+            measured=np.zeros(len(rows), np.bool_),
+            consistency=np.ones(len(rows), np.float32),
+            stable=confirmed[line_of >= 0],
             line_indices=rows,
             fragment_of=here.fragment_of,
             lost_ids=tracks.ids[lost],
             lost_segments_px=tracks.segments[lost],
+            lost_frames=tracks.missed[lost],
             ended_ids=ended_ids,
             camera=frame.camera,
             reset=reset,

@@ -15,6 +15,7 @@ from frontend.camera.model import CameraModel
 Int64: TypeAlias = NDArray[np.int64]
 Int32: TypeAlias = NDArray[np.int32]
 UInt8: TypeAlias = NDArray[np.uint8]
+Bool: TypeAlias = NDArray[np.bool_]
 Float32: TypeAlias = NDArray[np.float32]
 
 
@@ -94,7 +95,7 @@ class LineTracks:
     stamp_ns: int
     ids: Annotated[Int64, Field("track id, ascending, never used again", columns="id")]
     segments_px: Annotated[Float32, Field("line fused over the frames so far", "px", (2, 2), _ends())]
-    observed_px: Annotated[Float32, Field("line as detected in this frame alone", "px", (2, 2), _ends("observed_"))]
+    observed_px: Annotated[Float32, Field("line as measured in this frame alone", "px", (2, 2), _ends("observed_"))]
     covariances: Annotated[
         Float32,
         Field(
@@ -104,18 +105,45 @@ class LineTracks:
             columns="var_offset cov_offset_angle cov_offset_angle var_angle",
         ),
     ]
-    scores: Annotated[Float32, Field("score of the detection, in [0, 1]", columns="score")]
+    observed_covariances: Annotated[
+        Float32,
+        Field(
+            "the same of the observed line; errors of different frames are independent",
+            unit="px^2, px rad, px rad, rad^2",
+            shape=(2, 2),
+            columns="observed_var_offset observed_cov_offset_angle observed_cov_offset_angle observed_var_angle",
+            older=np.nan,
+        ),
+    ]
+    scores: Annotated[Float32, Field("score of the measurement, in [0, 1]", columns="score")]
     descriptors: Annotated[Float32, Field("orientation descriptor, a unit vector", shape=(-1,), columns="descriptor")]
     states: Annotated[UInt8, Field("0 tentative, 1 confirmed", columns="state")]
     ages: Annotated[Int32, Field("frames since the track began, 0 in its first frame", columns="age")]
     hits: Annotated[Int32, Field("frames in which it was seen, this one included")]
-    line_indices: Annotated[Int32, Field("row of the detection among the frame's lines", columns="line_index")]
+    measured: Annotated[
+        Bool, Field("not detected, but found on the edge map where the track was predicted", older=False)
+    ]
+    consistency: Annotated[
+        Float32,
+        Field(
+            "how far off its prediction the line was in the last frames, rms over what its covariances let expect: "
+            "about 1 for one line in space, more for one that drifts",
+            older=np.nan,
+        ),
+    ]
+    stable: Annotated[Bool, Field("fit to be a landmark: confirmed, consistent and not short", older=False)]
+    line_indices: Annotated[
+        Int32, Field("row of the detection among the frame's lines, -1 if measured", columns="line_index")
+    ]
     fragment_of: Annotated[Int64, Field("track whose line broke and left this piece, -1 for whole lines")]
     lost_ids: Annotated[Int64, Field("confirmed track that is not seen now and still looked for", rows="lost")] = field(
         default_factory=_no_ids
     )
     lost_segments_px: Annotated[Float32, Field("where it should be", "px", (2, 2), "lost_segments", "lost")] = field(
         default_factory=_no_segments
+    )
+    lost_frames: Annotated[Int32, Field("frames since it was seen", rows="lost", older=1)] = field(
+        default_factory=lambda: np.zeros(0, np.int32)
     )
     ended_ids: Annotated[Int64, Field("track that will never be seen again", rows="ended")] = field(
         default_factory=_no_ids
