@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.image import to_uint8
 from airline.lines import LineSet
+from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.assignment import assign
+from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
-from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances, with_bias
-from frontend.tracking.motion import WorkingImage, predict_segments, working_image
-from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
+from frontend.tracking.flow import WorkingImage, working_image
+from frontend.tracking.guided import measure
+from frontend.tracking.measurement import line_covariances, visible_parts, with_bias
+from frontend.tracking.overlap import LineFeatures, absorbed, covered, overlap_votes, parents
+from frontend.tracking.prediction import camera_of, focal_of, predicted
+from frontend.tracking.state import innovations, line_part, new_covariances, slide, update
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
 MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
 MEMORY = 0.5  # weight of the past in a track's profile
+CALM = 0.8  # weight of the past in how surprising a track's lines are
+MAX_GUIDED = 3.0  # px, widest band in which a track is looked for on the edge map
 CUT_FLOW = 0.2  # share of consistent flow below which an image may show another scene,
 CUT_TRACKS = 0.1  # if no more than this share of the tracks goes on
 CUT_LEAST = 10  # and there are so many tracks and lines that this is not chance
@@ -28,12 +35,30 @@ CUT_LEAST = 10  # and there are so many tracks and lines that this is not chance
 Pairs = NDArray[np.int32]  # row of the line that each track goes on with, or -1
 
 
+@dataclass(frozen=True)
+class Seen:
+    """Lines of one frame: first those detected, then those measured for tracks that no detected line takes.
+
+    Attributes:
+        features: of all lines.
+        errors: (N, 2, 2) float32 covariances of offset and angle.
+        scores: (N,) float32.
+        detected: how many of them are.
+    """
+
+    features: LineFeatures
+    errors: NDArray[np.float32]
+    scores: NDArray[np.float32]
+    detected: int
+
+
 class LineTracker:
     """Gives the same physical line the same id from frame to frame.
 
-    Predict each track by image motion, lay it over the new lines, let it vote for those it overlaps, weighted by how
-    well their orientation descriptors and both their sides agree, pair one to one, fuse. Tracks that were just seen
-    choose first; those that were missed may take what is left.
+    Predict each track by the camera's motion and its own depth, lay it over the new lines, let it vote for those it
+    overlaps, weighted by how well their orientation descriptors and both their sides agree, pair one to one, look for
+    the others on the edge map, filter. Tracks that were just seen choose first; those that were missed may take what is
+    left.
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
@@ -43,7 +68,8 @@ class LineTracker:
         self._image: WorkingImage | None = None
         self._size = (0, 0)
         self._stamp_ns = 0
-        self._motion = np.eye(3)
+        self._motion = Motion()
+        self._noise = 1.0
 
     def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
@@ -55,24 +81,31 @@ class LineTracker:
         """
         gray = to_uint8(frame.gray)
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
-        seen = LineFeatures(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
-        earlier = no_tracks(seen) if self._tracks is None else self._tracks
-        tracks, pairs = earlier, np.full(len(earlier), -1, np.int32)
+        camera = camera_of(frame.camera, size)
+        features = LineFeatures(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
+        seen = Seen(features, line_covariances(lines.segments, lines.residuals), lines.scores, len(lines))
+        earlier = no_tracks(features) if self._tracks is None else self._tracks
+        tracks, pairs, lengths = earlier, np.full(len(earlier), -1, np.int32), np.full(len(earlier), np.inf)
         reset = self._reset_reason(frame.stamp_ns, size)
         if reset is None and len(earlier) and len(lines):
-            tracks, trusted = self._predicted(earlier, image, size)
-            pairs = self._pair(tracks, seen)
-            reset = _cut_reason(trusted, earlier.visible, pairs, len(lines))
+            ahead = predicted(earlier, image if self._image is None else self._image, image, camera, self._motion)
+            tracks, lengths, self._motion = ahead.tracks, ahead.lengths, ahead.motion
+            pairs = self._pair(tracks, features)
+            reset = _cut_reason(ahead.trusted, earlier.visible, pairs, len(lines))
         if reset is not None:
-            tracks, pairs = no_tracks(seen), np.zeros(0, np.int32)
-        tracks, line_of = self._next(tracks, pairs, seen, lines.residuals, frame.index, size)
+            tracks, pairs, lengths, self._motion = no_tracks(features), np.zeros(0, np.int32), np.zeros(0), Motion()
+        elif len(lines):
+            pairs, offsets = self._gated(tracks, pairs, seen)
+            if edges is not None:
+                pairs, seen = self._guided(tracks, pairs, seen, edges, gray, lengths)
+        tracks, line_of = self._next(tracks, pairs, seen, frame.index, size, focal_of(camera), lengths)
         if len(lines) or reset is not None:
             self._image = image
         else:  # an image without lines says nothing: the tracks wait where they were
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
-        return self._result(frame, lines, tracks, line_of, ended, reset)
+        return self._result(frame, seen, tracks, line_of, ended, reset)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:
@@ -86,20 +119,10 @@ class LineTracker:
             return f"gap of {gap:.3f} s"
         return None
 
-    def _predicted(self, tracks: TrackTable, image: WorkingImage, size: tuple[int, int]) -> tuple[TrackTable, float]:
-        """The tracks where they should be, of length 0 if they left the image; and the share of consistent flow."""
-        before = image if self._image is None else self._image
-        moved = predict_segments(before, image, tracks.segments, tracks.visible, self._motion)
-        self._motion = moved.homography
-        segments, _ = clip(moved.segments, size)
-        covariances = predicted_covariances(tracks.covariances, tracks.segments, segments, moved.followed)
-        return replace(tracks, segments=segments, covariances=covariances, visible=moved.followed), moved.trusted
-
     def _pair(self, tracks: TrackTable, seen: LineFeatures) -> Pairs:
         """The line of each track: first for those seen in the last frame, then for the others."""
         config = self.config
-        slack = tracks.missed + np.where(tracks.visible, 0, 1)
-        bands = np.minimum(config.band + config.lost_band * slack, config.max_band).astype(np.float32)
+        bands = np.minimum(config.band + 3 * _spread(tracks), config.max_band).astype(np.float32)
         current = tracks.missed == 0
         votes = overlap_votes(
             tracks.features,
@@ -115,49 +138,125 @@ class LineTracker:
         free[pairs[pairs >= 0]] = False
         return np.maximum(pairs, assign(votes, config.min_vote, rows=~current, columns=free))
 
+    def _gated(self, tracks: TrackTable, pairs: Pairs, seen: Seen) -> tuple[Pairs, float]:
+        """The pairs without those whose line is too far from the prediction, by what all of them let expect."""
+        hit = np.flatnonzero(pairs >= 0)
+        squares = _innovations(tracks.take(hit), seen, pairs[hit])[2]
+        self._noise = max(1.0, float(np.median(squares)) / 1.386) if len(hit) >= CUT_LEAST else 1.0
+        pairs = pairs.copy()
+        pairs[hit[squares > self.config.gate * self._noise]] = -1
+        return pairs, 0.0
+
+    def _guided(
+        self, tracks: TrackTable, pairs: Pairs, seen: Seen, edges: NDArray[np.float32], gray: NDArray[np.uint8], lengths: NDArray[np.float64]
+    ) -> tuple[Pairs, Seen]:
+        """Measure the tracks without a line on the edge map."""
+        rows = np.flatnonzero((pairs < 0) & (lengths >= 8) & (tracks.missed <= 3))
+        if not len(rows):
+            return pairs, seen
+        alone = tracks.take(rows)
+        bands = np.minimum(1.0 + 2 * _spread(alone), MAX_GUIDED).astype(np.float32)
+        found = measure(edges, alone.segments, bands)
+        long = np.linalg.norm(found.segments[:, 1] - found.segments[:, 0], axis=1)
+        good = (found.support >= self.config.min_support) & (long >= np.maximum(8, 0.5 * lengths[rows]))
+        profiles = side_profiles(gray, found.segments)
+        good &= (profiles * alone.profiles).sum(axis=1) >= self.config.min_appearance_measured
+        features = LineFeatures(found.segments, alone.descriptors, profiles)
+        errors = line_covariances(found.segments, found.residuals)
+        squares = innovations(
+            alone.segments.astype(np.float64), alone.covariances.astype(np.float64), found.segments.astype(np.float64), errors.astype(np.float64)
+        )[2]
+        good &= squares <= self.config.gate * self._noise
+        good[good] = ~covered(found.segments[good], seen.features.segments)
+        chosen = np.flatnonzero(good)
+        pairs = pairs.copy()
+        pairs[rows[chosen]] = len(seen.scores) + np.arange(len(chosen))
+        more = Seen(
+            seen.features.append(features.take(chosen)),
+            np.concatenate([seen.errors, errors[chosen]]),
+            np.concatenate([seen.scores, (found.support * found.strength)[chosen]]),
+            seen.detected,
+        )
+        return pairs, more
+
     def _next(
         self,
         tracks: TrackTable,
         pairs: Pairs,
-        seen: LineFeatures,
-        residuals: NDArray[np.float32] | None,
+        seen: Seen,
         frame_index: int,
         size: tuple[int, int],
+        focal: float,
+        lengths: NDArray[np.float64],
     ) -> tuple[TrackTable, Pairs]:
-        """The tracks after this frame: those that go on, fused with their lines, and new ones; and the line of each."""
-        errors = line_covariances(seen.segments, residuals)
+        """The tracks after this frame: those that go on, filtered with their lines, and new ones; and the line of each."""
+        features = seen.features
         hit = pairs >= 0
-        tracks = _updated(tracks, hit, seen.take(pairs[hit]), errors[pairs[hit]], size)
-        observed = seen.segments[pairs[hit]]
-        alive = self._alive(tracks, hit, observed, size)
-        free = np.ones(len(seen.segments), np.bool_)
-        free[pairs[hit]] = False
+        tracks = self._updated(tracks, hit, seen, pairs[hit], size)
+        observed = features.segments[pairs[hit]]
+        alive = self._alive(tracks, hit, observed, lengths)
+        free = np.ones(seen.detected, np.bool_)
+        free[pairs[hit & (pairs < seen.detected)]] = False
         new = np.flatnonzero(free).astype(np.int32)
-        parent = parents(np.concatenate([observed, seen.segments[new]]), tracks.segments[hit])
+        parent = parents(np.concatenate([observed, features.segments[new]]), tracks.segments[hit])
         of_parent = np.append(np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)[hit], -1)[parent]
         tracks = tracks.with_rows(hit, {"fragment_of": np.maximum(tracks.fragment_of[hit], of_parent[: hit.sum()])})
         fragment_of = of_parent[hit.sum() :]
-        begun = new_tracks(self._next_id, frame_index, seen.take(new), errors[new], fragment_of)
+        begun = features.take(new)
+        covariances = new_covariances(begun.segments, seen.errors[new], focal)
+        begun_tracks = new_tracks(self._next_id, frame_index, begun, covariances, fragment_of)
         self._next_id += len(new)
-        return tracks.take(alive).append(begun), np.concatenate([pairs[alive], new])
+        return tracks.take(alive).append(begun_tracks), np.concatenate([pairs[alive], new])
+
+    def _updated(
+        self, tracks: TrackTable, hit: NDArray[np.bool_], seen: Seen, rows: Pairs, size: tuple[int, int]
+    ) -> TrackTable:
+        """The tracks with one more frame; those that were hit are filtered with their lines."""
+        here = tracks.take(hit)
+        lines = seen.features.take(rows)
+        backwards = _runs_backwards(here.segments, lines.segments)
+        observed, profiles = lines.segments.copy(), lines.profiles.copy()
+        observed[backwards], profiles[backwards] = observed[backwards, ::-1], profiles[backwards, ::-1]
+        offsets, spread, squares = _innovations(here, seen, rows)
+        segments, depths, covariances = update(
+            here.segments.astype(np.float64), here.depths.astype(np.float64), here.covariances.astype(np.float64), offsets, spread
+        )
+        ends = np.concatenate([here.ends[:, :, 1:], _along(segments, observed)[:, :, None]], axis=2)
+        low, high = np.nanmedian(ends, axis=2).T if len(ends) else np.zeros((2, 0))
+        segments, depths, covariances = slide(segments, depths, covariances, low.astype(np.float64), high.astype(np.float64))
+        ends = (ends - low[:, None, None]) / (high - low)[:, None, None]
+        filtered = {
+            "segments": segments.astype(np.float32),
+            "depths": depths.astype(np.float32),
+            "covariances": covariances.astype(np.float32),
+            "ends": ends.astype(np.float32),
+            "descriptors": lines.descriptors,
+            "profiles": MEMORY * here.profiles + (1 - MEMORY) * profiles,
+            "surprise": CALM * here.surprise + (1 - CALM) * (squares / 2 / self._noise).astype(np.float32),
+        }
+        return replace(
+            tracks.with_rows(hit, filtered),
+            hits=(tracks.hits + hit).astype(np.int32),
+            missed=np.where(hit, 0, tracks.missed + 1).astype(np.int32),
+            visible=hit,
+        )
 
     def _alive(
-        self, tracks: TrackTable, hit: NDArray[np.bool_], observed: NDArray[np.float32], size: tuple[int, int]
+        self, tracks: TrackTable, hit: NDArray[np.bool_], observed: NDArray[np.float32], lengths: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
         """(N,) mask: seen lately, still in the image, and no piece that is part of its whole line again."""
         confirmed = tracks.hits >= self.config.confirm_hits
-        patience = np.where(confirmed, self.config.max_missed, self.config.max_missed_tentative)
+        patience = np.where(confirmed, np.minimum(self.config.max_missed, 2 + tracks.hits // 4), self.config.max_missed_tentative)
         place = np.searchsorted(tracks.ids[hit], tracks.fragment_of)
         found = np.append(tracks.ids[hit], -2)[place] == tracks.fragment_of
         whole_again = absorbed(tracks.segments, np.where(found & ~hit, place, -1), observed)
-        left = clip(tracks.segments, size)[1] < MIN_VISIBLE
-        alive: NDArray[np.bool_] = (tracks.missed <= patience) & ~whole_again & (hit | ~left)
+        alive: NDArray[np.bool_] = (tracks.missed <= patience) & ~whole_again & (hit | (lengths >= MIN_VISIBLE))
         return alive
 
     def _result(
         self,
         frame: Frame,
-        lines: LineSet,
+        seen: Seen,
         tracks: TrackTable,
         line_of: Pairs,
         ended_ids: NDArray[np.int64],
@@ -166,26 +265,29 @@ class LineTracker:
         confirmed = tracks.hits >= self.config.confirm_hits
         lost = (line_of < 0) & confirmed
         here, rows = tracks.take(line_of >= 0), line_of[line_of >= 0]
-        observed = lines.segments[rows]
+        observed = seen.features.segments[rows]
         backwards = _runs_backwards(here.segments, observed)
         observed[backwards] = observed[backwards, ::-1]
+        consistency = np.sqrt(here.surprise)
+        certain = confirmed[line_of >= 0]
+        length = np.linalg.norm(here.segments[:, 1] - here.segments[:, 0], axis=1)
         return LineTracks(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             ids=here.ids,
             segments_px=here.segments,
             observed_px=observed,
-            covariances=with_bias(here.covariances),
-            observed_covariances=line_covariances(lines.segments, lines.residuals)[rows],
-            scores=lines.scores[rows],
+            covariances=with_bias(line_part(here.segments, here.covariances)),
+            observed_covariances=with_bias(seen.errors[rows]),
+            scores=seen.scores[rows],
             descriptors=here.descriptors,
-            states=np.where(confirmed[line_of >= 0], TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
+            states=np.where(certain, TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
             ages=(frame.index - here.born).astype(np.int32),
             hits=here.hits,
-            measured=np.zeros(len(rows), np.bool_),
-            consistency=np.ones(len(rows), np.float32),
-            stable=confirmed[line_of >= 0],
-            line_indices=rows,
+            measured=rows >= seen.detected,
+            consistency=consistency,
+            stable=certain & (consistency <= 1.5) & (length >= 15),
+            line_indices=np.where(rows < seen.detected, rows, -1).astype(np.int32),
             fragment_of=here.fragment_of,
             lost_ids=tracks.ids[lost],
             lost_segments_px=tracks.segments[lost],
@@ -196,27 +298,19 @@ class LineTracker:
         )
 
 
-def _updated(
-    tracks: TrackTable, hit: NDArray[np.bool_], lines: LineFeatures, errors: NDArray[np.float32], size: tuple[int, int]
-) -> TrackTable:
-    """The tracks with one more frame; those that were hit are fused with their lines."""
-    backwards = _runs_backwards(tracks.segments[hit], lines.segments)
-    observed, profiles = lines.segments.copy(), lines.profiles.copy()
-    observed[backwards], profiles[backwards] = observed[backwards, ::-1], profiles[backwards, ::-1]
-    segments, covariances = fuse(tracks.segments[hit], tracks.covariances[hit], observed, errors, size)
-    fused = {
-        "segments": segments,
-        "parts": _along(segments, observed),
-        "covariances": covariances,
-        "descriptors": lines.descriptors,
-        "profiles": MEMORY * tracks.profiles[hit] + (1 - MEMORY) * profiles,
-    }
-    return replace(
-        tracks.with_rows(hit, fused),
-        hits=(tracks.hits + hit).astype(np.int32),
-        missed=np.where(hit, 0, tracks.missed + 1).astype(np.int32),
-        visible=hit,
-    )
+def _spread(tracks: TrackTable) -> NDArray[np.float32]:
+    """(N,) standard deviation of where each track should be, px, the larger one of its ends'."""
+    return np.sqrt(np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1]))
+
+
+def _innovations(tracks: TrackTable, seen: Seen, rows: Pairs) -> tuple[NDArray[np.float64], ...]:
+    """What `state.innovations` says of tracks and the lines that are paired with them."""
+    measured = seen.features.segments[rows].astype(np.float64)
+    backwards = _runs_backwards(tracks.segments, seen.features.segments[rows])
+    measured[backwards] = measured[backwards, ::-1]
+    states = tracks.segments.astype(np.float64), tracks.covariances.astype(np.float64)
+    found: tuple[NDArray[np.float64], ...] = innovations(*states, measured, seen.errors[rows].astype(np.float64))
+    return found
 
 
 def _cut_reason(trusted: float, visible: NDArray[np.bool_], pairs: Pairs, lines: int) -> str | None:

@@ -17,34 +17,37 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes:
         confirm_hits: a track is confirmed when it was seen in this many frames.
-        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row,
+        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row, or sooner if it
+            has not lived for long;
         max_missed_tentative: and a tentative one after this many.
-        band: a line may be this far from where its track is predicted, px, where flow moved the track,
-        lost_band: and so much farther for each frame that it was missed, and where flow did not move it,
+        band: a line may be this far from where its track is predicted, px, and three standard deviations of that,
         max_band: up to this.
         max_angle: a track and its line may differ in direction by this much, degrees.
         min_agreement: least dot product of the orientation descriptors of a track and its line.
         min_appearance: least dot product of the grey profiles across a track and its line,
         min_appearance_lost: and of a track that was missed.
         min_vote: least vote of a pair, see `overlap`.
+        gate: largest squared innovation of a pair, over what its covariance lets expect.
         max_gap_s: a longer gap between two frames ends all tracks, seconds.
     """
 
     confirm_hits: int = 3
     max_missed: int = 30
-    max_missed_tentative: int = 20
-    band: float = 2.5
-    lost_band: float = 1.0
-    max_band: float = 10.0
+    max_missed_tentative: int = 1
+    band: float = 1.5
+    max_band: float = 8.0
     max_angle: Annotated[float, Meta(gt=0, le=90)] = 20.0
     min_agreement: Cosine = 0.5
     min_appearance: Cosine = -0.3
     min_appearance_lost: Cosine = 0.3
+    min_appearance_measured: Cosine = 0.5
+    min_support: Share = 0.6
     min_vote: Share = 0.1
+    gate: float = 16.0
     max_gap_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.lost_band) < 0:
-            raise ConfigError("tracker needs confirm_hits >= 1, and max_missed and lost_band of at least 0")
+        if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative) < 0:
+            raise ConfigError("tracker needs confirm_hits >= 1, and max_missed of at least 0")
         if self.band <= 0 or self.max_band < self.band or self.max_gap_s <= 0:
             raise ConfigError("tracker needs band > 0, max_band >= band and max_gap_s > 0")

@@ -35,6 +35,11 @@ class LineFeatures:
         """Some of the segments."""
         return LineFeatures(self.segments[rows], self.descriptors[rows], self.profiles[rows])
 
+    def append(self, other: LineFeatures) -> LineFeatures:
+        """These segments, then the others."""
+        arrays = ("segments", "descriptors", "profiles")
+        return LineFeatures(*(np.concatenate([getattr(self, a), getattr(other, a)]) for a in arrays))
+
 
 def overlap_votes(
     tracks: LineFeatures,
@@ -223,4 +228,29 @@ def absorbed(
             length = np.hypot(pieces[m, 1, 0] - pieces[m, 0, 0], pieces[m, 1, 1] - pieces[m, 0, 1])
             shared, at_low, at_high, _ = beside(seen[parent_rows[m]], pieces[m])
             mask[m] = shared >= MIN_INSIDE * length and max(at_low, at_high) < 2 * MAX_DISTANCE
+    return mask
+
+
+@njit()
+def covered(found: NDArray[np.float32], lines: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which lines lie on one of others, or on one before them.
+
+    Args:
+        found: (M, 2, 2) float32 px.
+        lines: (N, 2, 2) float32 px.
+
+    Returns:
+        (M,) mask.
+    """
+    mask = np.zeros(len(found), np.bool_)
+    for m in range(len(found)):
+        length = np.hypot(found[m, 1, 0] - found[m, 0, 0], found[m, 1, 1] - found[m, 0, 1])
+        for n in range(len(lines) + m):
+            if n >= len(lines) and mask[n - len(lines)]:
+                continue
+            other = lines[n] if n < len(lines) else found[n - len(lines)]
+            shared, at_low, at_high, cosine = beside(other, found[m])
+            if shared >= MIN_INSIDE * length and abs(cosine) >= MIN_COS and max(at_low, at_high) < MAX_DISTANCE:
+                mask[m] = True
+                break
     return mask

@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.tracking.overlap import LineFeatures
+from frontend.tracking.state import DEPTH
+
+ENDS = 5  # frames whose end points are remembered
 
 
 @dataclass(frozen=True)
@@ -19,20 +22,23 @@ class TrackTable:
     Attributes:
         ids: (N,) int64.
         segments: (N, 2, 2) float32 px, fused, in the image that the tracker last used.
-        parts: (N, 2) float32 where along the segment the line was seen last, from 0 at its start to 1 at its end.
-        covariances: (N, 2, 2) float32, see `fusion`.
+        depths: (N, 2) float32 inverse depths of both ends, with `covariances` (N, 4, 4) float32: see `state`.
+        ends: (N, 2, K) float32 where along the segment the line began and ended when it was seen last, the latest at the
+            end, from 0 at the segment's start to 1 at its end; NaN before the track began.
         descriptors: (N, C) float32 unit rows.
         profiles: (N, K) float32, see `appearance`.
         born: (N,) int64 index of the first frame.
         hits: (N,) int32 frames in which the track was seen.
         missed: (N,) int32 frames since it was last seen.
         visible: (N,) bool, seen in the image that the tracker last used.
+        surprise: (N,) float32 recent mean of the squared innovation over what its covariance lets expect.
         fragment_of: (N,) int64 id of the track whose line this is a piece of, -1 for none.
     """
 
     ids: NDArray[np.int64]
     segments: NDArray[np.float32]
-    parts: NDArray[np.float32]
+    depths: NDArray[np.float32]
+    ends: NDArray[np.float32]
     covariances: NDArray[np.float32]
     descriptors: NDArray[np.float32]
     profiles: NDArray[np.float32]
@@ -40,6 +46,7 @@ class TrackTable:
     hits: NDArray[np.int32]
     missed: NDArray[np.int32]
     visible: NDArray[np.bool_]
+    surprise: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -49,7 +56,7 @@ class TrackTable:
     def seen_parts(self) -> NDArray[np.float32]:
         """(N, 2, 2) float32 px, the parts of the segments that were seen last."""
         start, end = self.segments[:, :1], self.segments[:, 1:]
-        return np.asarray(start + self.parts[:, :, None] * (end - start))
+        return np.asarray(start + self.ends[:, :, -1:] * (end - start))
 
     @property
     def features(self) -> LineFeatures:
@@ -83,10 +90,13 @@ def new_tracks(
 ) -> TrackTable:
     """A track for each of N lines that were seen for the first time; `parents` as in `fragment_of`."""
     count = len(lines.segments)
+    ends = np.full((count, 2, ENDS), np.nan, np.float32)
+    ends[:, :, -1] = 0, 1
     return TrackTable(
         ids=np.arange(first_id, first_id + count, dtype=np.int64),
         segments=lines.segments,
-        parts=np.tile(np.array([0, 1], np.float32), (count, 1)),
+        depths=np.full((count, 2), DEPTH, np.float32),
+        ends=ends,
         covariances=covariances,
         descriptors=lines.descriptors,
         profiles=lines.profiles,
@@ -94,6 +104,7 @@ def new_tracks(
         hits=np.ones(count, np.int32),
         missed=np.zeros(count, np.int32),
         visible=np.ones(count, np.bool_),
+        surprise=np.ones(count, np.float32),
         fragment_of=parents,
     )
 
@@ -101,4 +112,4 @@ def new_tracks(
 def no_tracks(lines: LineFeatures) -> TrackTable:
     """An empty table for tracks of such lines."""
     none = lines.take(np.zeros(0, np.int32))
-    return new_tracks(0, 0, none, np.zeros((0, 2, 2), np.float32), np.zeros(0, np.int64))
+    return new_tracks(0, 0, none, np.zeros((0, 4, 4), np.float32), np.zeros(0, np.int64))

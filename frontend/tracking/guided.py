@@ -1,0 +1,144 @@
+"""Tracks that no detected line takes are looked for on the edge map, where they should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airline.kernels.compiled import njit
+
+STEP = 2.0  # px between stations along the line
+LEAST, MOST = 5, 60  # stations of a line
+ACROSS = 0.75  # px between samples across it
+MIN_EDGE = 0.15  # probability of an edge, as the detector's threshold
+NEAR = 0.75  # px, of stations that agree with the line
+ROUNDS = 5  # of the fit
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Lines found on an edge map.
+
+    Attributes:
+        segments: (N, 2, 2) float32 px, in the directions of the predicted ones.
+        residuals: (N,) float32 rms distance of the stations that agree, px.
+        support: (N,) float32 share of the stations between the ends that agree, 0 where nothing was found.
+        strength: (N,) float32 their mean edge probability.
+    """
+
+    segments: NDArray[np.float32]
+    residuals: NDArray[np.float32]
+    support: NDArray[np.float32]
+    strength: NDArray[np.float32]
+
+
+def measure(edges: NDArray[np.float32], segments: NDArray[np.float32], bands: NDArray[np.float32]) -> Measured:
+    """Lines on the edge map within a band around predicted ones.
+
+    As in the paper's local edge voting, each station along the line votes for the offset of the strongest edge across
+    it; the straight line that most of them agree with is fitted by reweighted least squares (Tukey's biweight), and
+    ends where they do.
+
+    Args:
+        edges: (H, W) float32 edge probability.
+        segments: (N, 2, 2) float32 px.
+        bands: (N,) float32 px, half widths.
+    """
+    found = segments.copy()
+    residuals, support, strength = (np.zeros(len(segments), np.float32) for _ in range(3))
+    _measure(edges, found, bands, residuals, support, strength)
+    return Measured(found, residuals, support, strength)
+
+
+@njit()
+def _measure(edges, segments, bands, residuals, support, strength):  # type: ignore[no-untyped-def]
+    height, width = edges.shape
+    offset, value, weight = np.empty(MOST), np.empty(MOST), np.empty(MOST)
+    for n in range(len(segments)):
+        x0, y0 = np.float64(segments[n, 0, 0]), np.float64(segments[n, 0, 1])
+        dx, dy = segments[n, 1, 0] - x0, segments[n, 1, 1] - y0
+        length = np.hypot(dx, dy)
+        if length < 4:
+            continue
+        ux, uy = dx / length, dy / length
+        count = min(max(int(length / STEP), LEAST), MOST)
+        half = int(bands[n] / ACROSS + 0.5)
+        for k in range(count):
+            t = (k + 0.5) / count * length
+            x, y = x0 + t * ux, y0 + t * uy
+            best, place = 0.0, 0
+            for j in range(-half, half + 1):
+                e = _edge(edges, width, height, x - j * ACROSS * uy, y + j * ACROSS * ux)
+                e *= 1 - 0.3 * abs(j) / (half + 1)
+                if e > best:
+                    best, place = e, j
+            here = _edge(edges, width, height, x - place * ACROSS * uy, y + place * ACROSS * ux)
+            value[k] = here
+            offset[k] = place * ACROSS
+            a = _edge(edges, width, height, x - (place - 1) * ACROSS * uy, y + (place - 1) * ACROSS * ux)
+            b = _edge(edges, width, height, x - (place + 1) * ACROSS * uy, y + (place + 1) * ACROSS * ux)
+            if here < MIN_EDGE or here < a or here < b:
+                value[k] = 0  # no ridge runs along here
+            else:
+                offset[k] += ACROSS * 0.5 * (b - a) / max(2 * here - a - b, 1e-6)
+        _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength)
+
+
+@njit(inline="always")
+def _edge(edges, width, height, x, y):  # type: ignore[no-untyped-def]
+    if not (0 <= x < width - 1 and 0 <= y < height - 1):
+        return 0.0
+    column, row = int(x), int(y)
+    fx, fy = x - column, y - row
+    top = edges[row, column] + fx * (edges[row, column + 1] - edges[row, column])
+    low = edges[row + 1, column] + fx * (edges[row + 1, column + 1] - edges[row + 1, column])
+    return top + fy * (low - top)
+
+
+@njit()
+def _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength):  # type: ignore[no-untyped-def]
+    """Fit offset = a + b s, s from -1/2 to 1/2 along the line, and write down the line that follows."""
+    votes = 0
+    for k in range(count):
+        votes += value[k] > 0
+    if votes < LEAST - 1 or votes < 0.4 * count:
+        return
+    chosen = np.empty(votes)
+    votes = 0
+    for k in range(count):
+        if value[k] > 0:
+            chosen[votes] = offset[k]
+            votes += 1
+    a, b = np.median(chosen), 0.0
+    for turn in range(ROUNDS):
+        reach = 3 * NEAR if turn < 2 else 2 * NEAR
+        s0, s1, s2, m0, m1 = 1e-9, 0.0, 0.02, 0.0, 0.0
+        for k in range(count):
+            s = (k + 0.5) / count - 0.5
+            away = (offset[k] - a - b * s) / reach
+            w = value[k] * (1 - away * away) ** 2 if abs(away) < 1 else 0.0
+            s0, s1, s2 = s0 + w, s1 + w * s, s2 + w * s * s
+            m0, m1 = m0 + w * offset[k], m1 + w * s * offset[k]
+        det = s0 * s2 - s1 * s1
+        if det < 1e-9:
+            return
+        a, b = (m0 * s2 - m1 * s1) / det, (m1 * s0 - m0 * s1) / det
+    first, last, agree, squares, total = count, -1, 0, 0.0, 0.0
+    for k in range(count):
+        away = offset[k] - a - b * ((k + 0.5) / count - 0.5)
+        if value[k] > 0 and abs(away) <= NEAR:
+            first, last = min(first, k), k
+            agree += 1
+            squares += away * away
+            total += value[k]
+    if agree < LEAST - 1:
+        return
+    x0, y0 = segments[n, 0, 0], segments[n, 0, 1]
+    for end, place in ((0, first / count), (1, (last + 1) / count)):
+        across, along = a + b * (place - 0.5), place * length
+        segments[n, end, 0], segments[n, end, 1] = x0 + along * ux - across * uy, y0 + along * uy + across * ux
+    residuals[n] = np.sqrt(squares / agree)
+    support[n] = agree / (last + 1 - first)
+    strength[n] = total / agree

@@ -1,0 +1,154 @@
+"""Where tracks should be in the next image: the camera's motion, each line at its own depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.camera.model import CameraModel
+from frontend.tracking.camera_motion import Motion, camera_motion
+from frontend.tracking.flow import WorkingImage, flow
+from frontend.tracking.measurement import visible_parts
+from frontend.tracking.state import DEPTH, DEPTH_ERROR, predict, slide
+from frontend.tracking.table import TrackTable
+
+PLACES = np.array([0.25, 0.75], np.float32)  # of the points along a line
+SHORT = 60.0  # px; a shorter line has one point, in its middle
+BESIDE = np.array([2.0, -2.0], np.float32)  # px of the full image, to either side, where there is texture
+GRID = (6, 4)  # of points over the whole image, so that the motion does not hang on a few lines
+FLOW_NOISE = 0.15  # px of the working image
+GUESSED_FOCAL = 0.8  # of the image's longer side, where the camera is not known
+MOST_DEPTH_ERROR = 0.7  # of a point for the camera's motion
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Tracks moved to where they should be in the next image.
+
+    Attributes:
+        tracks: the tracks; of those that left the image nothing is moved.
+        lengths: (N,) px inside the image.
+        motion: of the camera.
+        trusted: share in [0, 1] of the points whose flow was consistent.
+    """
+
+    tracks: TrackTable
+    lengths: NDArray[np.float64]
+    motion: Motion
+    trusted: float
+
+
+def camera_of(camera: CameraModel | None, size: tuple[int, int]) -> CameraModel:
+    """The camera, or a guess of one for images of so many px."""
+    if camera is not None:
+        return camera
+    focal = GUESSED_FOCAL * max(size)
+    return CameraModel(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+
+
+def focal_of(camera: CameraModel) -> float:
+    """Pixels per unit of the plane z = 1, in the image's middle."""
+    return float(np.sqrt(camera.fx * camera.fy))
+
+
+def predicted(
+    tracks: TrackTable, before: WorkingImage, after: WorkingImage, camera: CameraModel, previous: Motion
+) -> Prediction:
+    """Move tracks from one image to the next.
+
+    Optical flow moves one or two points beside each line that was just seen, and a few over the whole image. The
+    camera's motion is what most of them agree on, at the depths that are known by now. Each line moves with the camera,
+    at its own depth, which the flow of its points tells first.
+    """
+    points, used, places = _points(tracks)
+    start = np.concatenate([points[used], _grid(before)])
+    moved, consistent = flow(before, after, start)
+    planes = _to_plane(camera, np.stack([start, moved]))
+    depths, errors = _depths(tracks, used, places, len(start))
+    focal, noise = focal_of(camera), FLOW_NOISE * float(before.factor.max())
+    motion = camera_motion(
+        *(plane[consistent].astype(np.float32) for plane in planes), depths[consistent], errors[consistent], noise / focal, previous
+    )
+    flows, known = np.zeros((2, *points.shape)), np.zeros(points.shape[:2], np.bool_)
+    count = int(used.sum())
+    flows[:, used], known[used] = planes[:, :count], consistent[:count]
+    ends, deep, covariances = predict(
+        _to_plane(camera, tracks.segments),
+        tracks.depths.astype(np.float64),
+        tracks.covariances.astype(np.float64),
+        places.astype(np.float64),
+        *flows,
+        known,
+        motion.rotation,
+        motion.translation,
+        focal,
+        noise,
+        max(1.0, motion.error),
+    )
+    segments = _to_pixels(camera, ends)
+    low, high, lengths = visible_parts(segments.astype(np.float32), (camera.width, camera.height))
+    segments, deep, covariances = slide(segments, deep, covariances, low, high)
+    part = (high - low)[:, None, None]
+    gone = replace(
+        tracks,
+        segments=segments.astype(np.float32),
+        depths=deep.astype(np.float32),
+        covariances=covariances.astype(np.float32),
+        ends=((tracks.ends - low[:, None, None]) / part).astype(np.float32),
+        visible=np.asarray(known.any(axis=1)),
+    )
+    return Prediction(gone, lengths, motion, float(consistent.mean()))
+
+
+def _points(tracks: TrackTable) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]]:
+    """(N, 2, 2) points beside each line, the (N, 2) mask of those that are used, and their (N, 2) places along it.
+
+    The points of a line that was not seen show what hides it.
+    """
+    segments = tracks.segments
+    delta = segments[:, 1] - segments[:, 0]
+    length = np.maximum(np.hypot(delta[:, 0], delta[:, 1]), 1e-6)[:, None]
+    across = np.stack([-delta[:, 1], delta[:, 0]], axis=1) / length
+    short = length < SHORT
+    places = np.where(short, np.float32(0.5), PLACES)
+    points = segments[:, None, 0] + places[:, :, None] * delta[:, None] + BESIDE[:, None] * across[:, None]
+    return points, tracks.visible[:, None] & ~(short & [False, True]), places
+
+
+def _grid(image: WorkingImage) -> NDArray[np.float32]:
+    """Points spread over the whole image, full px."""
+    height, width = image.pixels.shape
+    x, y = ((np.arange(count) + 0.5) * size / count for count, size in zip(GRID, (width, height), strict=True))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return (grid * image.factor - 0.5).astype(np.float32)
+
+
+def _depths(
+    tracks: TrackTable, used: NDArray[np.bool_], places: NDArray[np.float32], count: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(count,) inverse depths of the used points and of those of the grid, and their standard deviations."""
+    depths, errors = np.full(count, DEPTH, np.float32), np.full(count, DEPTH_ERROR, np.float32)
+    weights = np.stack([1 - places, places], axis=2)
+    own = np.einsum("nke,ne->nk", weights, tracks.depths)[used]
+    spread = np.einsum("nke,nef,nkf->nk", weights, tracks.covariances[:, 2:, 2:], weights)[used]
+    depths[: len(own)], errors[: len(own)] = own, np.sqrt(np.maximum(spread, 1e-6))
+    return depths, np.minimum(errors, MOST_DEPTH_ERROR)
+
+
+def _to_plane(camera: CameraModel, points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Points on the plane z = 1; as of a pinhole camera where the lens model ends."""
+    pinhole = (points.astype(np.float64) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    if camera.distortion == "none":
+        return pinhole
+    plane = camera.normalize(points).astype(np.float64)
+    return np.where(np.isfinite(plane), plane, pinhole)
+
+
+def _to_pixels(camera: CameraModel, planes: NDArray[np.float64]) -> NDArray[np.float64]:
+    pinhole = planes * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    if camera.distortion == "none":
+        return pinhole
+    pixels = camera.project(planes).astype(np.float64)
+    return np.where(np.isfinite(pixels), pixels, pinhole)
