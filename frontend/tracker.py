@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from airline.image import to_uint8
 from airline.lines import LineSet
+from airline.stages.refine import ImageRefiner
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.tracking.appearance import side_profiles
@@ -17,7 +18,7 @@ from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.flow import WorkingImage, working_image
 from frontend.tracking.guided import measure
-from frontend.tracking.measurement import line_covariances, visible_parts, with_bias
+from frontend.tracking.measurement import MEASURED, line_covariances, with_bias
 from frontend.tracking.overlap import LineFeatures, absorbed, covered, overlap_votes, parents
 from frontend.tracking.prediction import camera_of, focal_of, predicted
 from frontend.tracking.state import innovations, line_part, new_covariances, slide, update
@@ -27,6 +28,8 @@ from frontend.tracks import LineTracks, TrackState
 MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
 MEMORY = 0.5  # weight of the past in a track's profile
 CALM = 0.8  # weight of the past in how surprising a track's lines are
+NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track are not gated
+MOST_SURPRISE = 4.0
 MAX_GUIDED = 3.0  # px, widest band in which a track is looked for on the edge map
 CUT_FLOW = 0.2  # share of consistent flow below which an image may show another scene,
 CUT_TRACKS = 0.1  # if no more than this share of the tracks goes on
@@ -70,6 +73,7 @@ class LineTracker:
         self._stamp_ns = 0
         self._motion = Motion()
         self._noise = 1.0
+        self._refiner = ImageRefiner()
 
     def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
@@ -141,10 +145,11 @@ class LineTracker:
     def _gated(self, tracks: TrackTable, pairs: Pairs, seen: Seen) -> tuple[Pairs, float]:
         """The pairs without those whose line is too far from the prediction, by what all of them let expect."""
         hit = np.flatnonzero(pairs >= 0)
-        squares = _innovations(tracks.take(hit), seen, pairs[hit])[2]
+        _, _, squares, away = _innovations(tracks.take(hit), seen, pairs[hit])
         self._noise = max(1.0, float(np.median(squares)) / 1.386) if len(hit) >= CUT_LEAST else 1.0
         pairs = pairs.copy()
-        pairs[hit[squares > self.config.gate * self._noise]] = -1
+        far = (squares > self.config.gate * self._noise) & ((away > NEAR_ENOUGH) | (tracks.surprise[hit] > MOST_SURPRISE))
+        pairs[hit[far]] = -1
         return pairs, 0.0
 
     def _guided(
@@ -157,12 +162,14 @@ class LineTracker:
         alone = tracks.take(rows)
         bands = np.minimum(1.0 + 2 * _spread(alone), MAX_GUIDED).astype(np.float32)
         found = measure(edges, alone.segments, bands)
+        refined = self._refiner.refine(LineSet(found.segments, found.support, alone.descriptors), gray).segments
+        found = replace(found, segments=refined)
         long = np.linalg.norm(found.segments[:, 1] - found.segments[:, 0], axis=1)
         good = (found.support >= self.config.min_support) & (long >= np.maximum(8, 0.5 * lengths[rows]))
         profiles = side_profiles(gray, found.segments)
         good &= (profiles * alone.profiles).sum(axis=1) >= self.config.min_appearance_measured
         features = LineFeatures(found.segments, alone.descriptors, profiles)
-        errors = line_covariances(found.segments, found.residuals)
+        errors = line_covariances(found.segments, found.residuals, MEASURED)
         squares = innovations(
             alone.segments.astype(np.float64), alone.covariances.astype(np.float64), found.segments.astype(np.float64), errors.astype(np.float64)
         )[2]
@@ -217,7 +224,9 @@ class LineTracker:
         backwards = _runs_backwards(here.segments, lines.segments)
         observed, profiles = lines.segments.copy(), lines.profiles.copy()
         observed[backwards], profiles[backwards] = observed[backwards, ::-1], profiles[backwards, ::-1]
-        offsets, spread, squares = _innovations(here, seen, rows)
+        offsets, spread, squares, _ = _innovations(here, seen, rows)
+        squares /= self._noise
+        spread *= np.maximum(1, squares / self.config.gate)[:, None, None]
         segments, depths, covariances = update(
             here.segments.astype(np.float64), here.depths.astype(np.float64), here.covariances.astype(np.float64), offsets, spread
         )
@@ -232,7 +241,7 @@ class LineTracker:
             "ends": ends.astype(np.float32),
             "descriptors": lines.descriptors,
             "profiles": MEMORY * here.profiles + (1 - MEMORY) * profiles,
-            "surprise": CALM * here.surprise + (1 - CALM) * (squares / 2 / self._noise).astype(np.float32),
+            "surprise": CALM * here.surprise + (1 - CALM) * (np.minimum(squares, 2 * self.config.gate) / 2).astype(np.float32),
         }
         return replace(
             tracks.with_rows(hit, filtered),
@@ -277,8 +286,8 @@ class LineTracker:
             ids=here.ids,
             segments_px=here.segments,
             observed_px=observed,
-            covariances=with_bias(line_part(here.segments, here.covariances)),
-            observed_covariances=with_bias(seen.errors[rows]),
+            covariances=with_bias(line_part(here.segments, here.covariances), here.across),
+            observed_covariances=with_bias(seen.errors[rows], here.across),
             scores=seen.scores[rows],
             descriptors=here.descriptors,
             states=np.where(certain, TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),

@@ -13,10 +13,14 @@ from airline.kernels.compiled import njit
 CORRELATION = 8.0  # px of a line's length that err alike: pixels share their neighbourhood
 FLOOR = 0.03  # px, standard deviation of an offset that no length takes away
 BIAS = 0.12  # px, standard deviation of an offset that stays over the frames, as measured on rendered clips
+BLUR = 0.02  # px of bias per px of motion across a line from frame to frame
+MEASURED = 0.25  # px, standard deviation of a line measured on the edge map beyond that
 DEFAULT_RESIDUAL = 0.5  # px, of detectors that do not report theirs
 
 
-def line_covariances(segments: NDArray[np.float32], residuals: NDArray[np.float32] | None) -> NDArray[np.float32]:
+def line_covariances(
+    segments: NDArray[np.float32], residuals: NDArray[np.float32] | None, more: float = 0.0
+) -> NDArray[np.float32]:
     """Covariances of lines fitted to independent stretches of an edge.
 
     Of n = length / 8 stretches with standard deviation s, evenly along the line: var(offset) = s^2 / n and
@@ -25,6 +29,7 @@ def line_covariances(segments: NDArray[np.float32], residuals: NDArray[np.float3
     Args:
         segments: (N, 2, 2) float32 px.
         residuals: (N,) float32 rms distance of the pixels from their line, px; None if not known.
+        more: px, standard deviation of what else there is.
 
     Returns:
         (N, 2, 2) float32 covariance of (offset at the middle, px; angle, radians).
@@ -32,15 +37,22 @@ def line_covariances(segments: NDArray[np.float32], residuals: NDArray[np.float3
     delta = segments[:, 1] - segments[:, 0]
     length = np.maximum(np.hypot(delta[:, 0], delta[:, 1]), 1.0)
     spread = np.full(len(segments), DEFAULT_RESIDUAL) if residuals is None else residuals
-    offset = spread**2 / np.maximum(length / CORRELATION, 1.0) + FLOOR**2
+    offset = spread**2 / np.maximum(length / CORRELATION, 1.0) + FLOOR**2 + more**2
     covariances = np.zeros((len(segments), 2, 2), np.float32)
     covariances[:, 0, 0], covariances[:, 1, 1] = offset, 12 * offset / length**2
     return covariances
 
 
-def with_bias(covariances: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, 2, 2) covariances of fused lines with the part of their error that no averaging takes away."""
-    return covariances + np.array([[BIAS**2, 0], [0, 0]], np.float32)
+def with_bias(covariances: NDArray[np.float32], across: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, 2, 2) covariances with the part of the errors that no averaging takes away.
+
+    Args:
+        covariances: (N, 2, 2) float32.
+        across: (N,) float32 px that the lines moved across themselves since the last frame, which blurs them.
+    """
+    biased = covariances.copy()
+    biased[:, 0, 0] += BIAS**2 + (BLUR * across) ** 2
+    return biased
 
 
 def visible_parts(

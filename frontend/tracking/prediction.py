@@ -74,7 +74,7 @@ def predicted(
     flows, known = np.zeros((2, *points.shape)), np.zeros(points.shape[:2], np.bool_)
     count = int(used.sum())
     flows[:, used], known[used] = planes[:, :count], consistent[:count]
-    ends, deep, covariances = predict(
+    ends, deep, covariances, across = predict(
         _to_plane(camera, tracks.segments),
         tracks.depths.astype(np.float64),
         tracks.covariances.astype(np.float64),
@@ -98,6 +98,7 @@ def predicted(
         covariances=covariances.astype(np.float32),
         ends=((tracks.ends - low[:, None, None]) / part).astype(np.float32),
         visible=np.asarray(known.any(axis=1)),
+        across=across.astype(np.float32),
     )
     return Prediction(gone, lengths, motion, float(consistent.mean()))
 

@@ -16,8 +16,8 @@ from frontend.tracking.camera_motion import Motion
 
 DEPTH, DEPTH_ERROR = 1.0, 1.0  # inverse depth of a new line, in that of the scene, and its standard deviation
 SLOPE = 2.0  # by how much inverse depth changes along a line as long as the focal length, in its own unit
-STILL, PER_PIXEL = 0.05, 0.01  # px, error of a prediction: always, and per px of motion
-DEPTH_WALK = 0.02  # of inverse depth from frame to frame: what the motion's error makes of it
+STILL, PER_PIXEL = 0.12, 0.01  # px, error of a prediction: always, and per px of motion
+DEPTH_WALK = 0.01  # of inverse depth from frame to frame: what the motion's error makes of it
 FLOW_GATE = 9.0  # squared error of flow over its variance, above which it shows something else
 
 Float32 = NDArray[np.float32]
@@ -64,8 +64,9 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
         inflation: factor of the prediction's error where the motion is not quite known.
 
     Returns:
-        All of the first three, moved.
+        All of the first three, moved, and (N,) how far the lines moved across themselves, px.
     """
+    across = np.zeros(len(planes))
     planes, depths, covariances = planes.copy(), depths.copy(), covariances.copy()
     h, gain = np.zeros(4, np.float64), np.empty(4, np.float64)
     F = np.eye(4)
@@ -93,6 +94,7 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
                     P[row, column] -= gain[row] * gain[column] * variance
         nx, ny = _moved_normal(planes[n], depths[n], R, T)
         motion = 0.0
+        before = nx * (planes[n, 0, 0] + planes[n, 1, 0]) + ny * (planes[n, 0, 1] + planes[n, 1, 1])
         for k in range(2):
             x, y = planes[n, k, 0], planes[n, k, 1]
             px, py, gx, gy, z = _moved(x, y, depths[n, k], R, T)
@@ -100,11 +102,13 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
             planes[n, k, 0], planes[n, k, 1] = px, py
             depths[n, k] /= z
             F[k, k], F[k, 2 + k], F[2 + k, 2 + k] = 1 / z, focal * (nx * gx + ny * gy), 1 / z
+        after = nx * (planes[n, 0, 0] + planes[n, 1, 0]) + ny * (planes[n, 0, 1] + planes[n, 1, 1])
+        across[n] = 0.5 * focal * abs(after - before)
         P[:] = F @ P @ F.T
         for k in range(2):
             P[k, k] += (inflation * (STILL + PER_PIXEL * motion)) ** 2
             P[2 + k, 2 + k] += (inflation * DEPTH_WALK) ** 2
-    return planes, depths, covariances
+    return planes, depths, covariances, across
 
 
 @njit(inline="always")
@@ -145,11 +149,11 @@ def innovations(segments, covariances, measured, noise):  # type: ignore[no-unty
         measured: (N, 2, 2) px, in the same directions, with noise (N, 2, 2), covariances of offset and angle.
 
     Returns:
-        (N, 2) offsets, px, their (N, 2, 2) covariances, and (N,) squared, normalised: chi-square of two degrees of
-        freedom where all is as it should be.
+        (N, 2) offsets, px, their (N, 2, 2) covariances, (N,) squared and normalised: chi-square of two degrees of
+        freedom where all is as it should be; and (N,) the larger distance of a measured end from the predicted line.
     """
     offsets, spread = np.zeros((len(segments), 2)), np.zeros((len(segments), 2, 2))
-    squares = np.zeros(len(segments))
+    squares, away = np.zeros(len(segments)), np.zeros(len(segments))
     for n in range(len(segments)):
         p, m = segments[n], measured[n]
         px, py = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
@@ -162,6 +166,7 @@ def innovations(segments, covariances, measured, noise):  # type: ignore[no-unty
         cosine = max(ux * ny - uy * nx, 0.2)
         t0 = t1 = 0.0
         for k in range(2):
+            away[n] = max(away[n], abs(nx * (m[k, 0] - p[0, 0]) + ny * (m[k, 1] - p[0, 1])))
             x, y = cx - p[k, 0], cy - p[k, 1]
             offsets[n, k] = (-uy * x + ux * y) / cosine
             along = -(x * ux + y * uy)
@@ -176,7 +181,7 @@ def innovations(segments, covariances, measured, noise):  # type: ignore[no-unty
         spread[n, 0, 0], spread[n, 0, 1], spread[n, 1, 0], spread[n, 1, 1] = s00, s01, s01, s11
         e0, e1 = offsets[n]
         squares[n] = (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / (s00 * s11 - s01 * s01)
-    return offsets, spread, squares
+    return offsets, spread, squares, away
 
 
 @njit()
