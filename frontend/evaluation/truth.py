@@ -51,7 +51,7 @@ class Clip(Protocol):
 
 @dataclass(frozen=True)
 class Tracked:
-    """What of `LineTracks` is measured. Row k of every array speaks of the same track.
+    """What of `LineTracks` is evaluated. Row k of every array speaks of the same track, whose line was detected.
 
     Attributes:
         ids: (N,) int64 track ids, no two alike.
@@ -64,6 +64,17 @@ class Tracked:
     line_indices: NDArray[np.int32]
     segments_px: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
+
+    @property
+    def observed_px(self) -> NDArray[np.float32]:
+        """(N, 2, 2) nothing is fused."""
+        return self.segments_px
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        return np.zeros(len(self.ids), np.bool_)
+
+    stable = measured
 
 
 class Tracker(Protocol):
