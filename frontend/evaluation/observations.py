@@ -41,7 +41,12 @@ class Observations:
         """(T + 1,) the first row of every track, and the number of rows."""
         return np.append(np.flatnonzero(np.diff(self.ids, prepend=-1)), len(self.ids))
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Observations:
+    def seen_in(self, frames: int) -> NDArray[np.bool_]:
+        """(R,) mask of the tracks seen in so many frames and more."""
+        counts = np.diff(self.starts)
+        return np.repeat(counts >= frames, counts)
+
+    def take(self, rows: NDArray[np.bool_] | slice) -> Observations:
         """Some of the rows."""
         return Observations(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,10 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError
 from airline.image import to_gray, to_uint8
+from frontend.evaluation.consistency import image_fits
 from frontend.evaluation.observations import Observations
+from frontend.evaluation.posed import Posed
+from frontend.evaluation.space import distances
 from frontend.frame import Frame
 
 CELLS = 8  # moments of a track's life
@@ -41,6 +45,16 @@ class Strip:
     rows: Observations
     image_lines: Array
     errors: Array
+
+
+def fitted(observations: Observations, clip: Posed, least: int = 8) -> list[Strip]:
+    """The tracks seen in `least` frames and more, by what was observed; the worst first."""
+    observations = observations.take(observations.seen_in(least))
+    lines = image_fits(observations, observations.observed_px, clip)
+    errors = distances(observations.observed_px, lines).max(axis=1)
+    tracks = [slice(low, high) for low, high in pairwise(observations.starts)]
+    strips = [Strip(observations.take(rows), lines[rows], errors[rows]) for rows in tracks]
+    return sorted(strips, key=lambda strip: -float(strip.errors.max()))
 
 
 def draw_strips(frames: Iterable[Frame], strips: Sequence[Strip], cells: int = CELLS) -> Picture:

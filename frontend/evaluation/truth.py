@@ -78,9 +78,11 @@ class Tracked:
 
 
 class Tracker(Protocol):
-    """Takes the lines of one frame after the other."""
+    """Takes the lines of one frame after the other, and the edge map that they were found in."""
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks: ...
+    def update(
+        self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None
+    ) -> Tracked | LineTracks: ...
 
 
 @dataclass(frozen=True)
@@ -103,8 +105,11 @@ class Record:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """(N,) int64 true line of every track."""
-        return self.line_owners[self.tracked.line_indices]
+        """(N,) int64 true line of every track: its detection's, or where it was measured that of what was observed."""
+        found = np.append(self.line_owners, UNKNOWN)[self.tracked.line_indices]
+        measured = self.tracked.measured
+        found[measured] = owners(self.tracked.observed_px[measured], self.truth)
+        return found
 
     @property
     def identities(self) -> NDArray[np.int64]:
