@@ -209,8 +209,8 @@ def _draw_worst(options: argparse.Namespace, clip: Posed, frames: Iterable[Frame
 
     if options.worst is not None:
         worst = fitted(collect(runs["ours"].tracked), clip)[:WORST]
-        picture = draw_strips(islice(frames, options.limit), worst)
-        write_strips(options.worst / f"{clip.name}.png", picture)
+        if worst:
+            write_strips(options.worst / f"{clip.name}.png", draw_strips(islice(frames, options.limit), worst))
 
 
 def _show(sequences: dict[str, Any], accurate: dict[str, Any], posed: dict[str, Any]) -> None:
