@@ -1,4 +1,4 @@
-"""Measure the line tracker against known identities: `python -m frontend.evaluate`.
+"""Measure the line tracker against known identities and known poses: `python -m frontend.evaluate`.
 
 Without arguments the clips are the rendered ones, which are built in. Photographs, labelled frames and clips with poses
 come from folders.
@@ -9,73 +9,26 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from airline.command import Parser, exit_code, number, write_json
 from airline.errors import InputError
 from frontend.cli.terminal import progress
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from airline.detector import AirLine
     from airline.lines import LineSet
-    from frontend.evaluation.metrics import Figures
-    from frontend.evaluation.posed import PosedClip
-    from frontend.evaluation.truth import Clip, Tracked, Tracker
+    from frontend.evaluation.posed import Posed, PosedClip
+    from frontend.evaluation.truth import Clip, Record, Tracked, Tracker
     from frontend.frame import Frame
     from frontend.tracks import LineTracks
 
-LEGEND = """\
-All trackers get the same lines in the same run. A line counts where it is
-known which true line it belongs to.
-P, R: precision and recall of links, %. A link is a track seen in two
-  consecutive frames; it is right when both lines belong to the same true
-  line. wrong: how many links are not.
-IDF1: one track for each true line and one true line for each track, %.
-switch: changes of a true line's track per 100 frames; frag: those of them
-  after frames in which the true line was not tracked.
-length, med: frames in which a track was seen, mean and median. pure: mean
-  frames of a track on the true line that it was on most. of: mean frames in
-  which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
-across, along: the true line, about the true motion; rms.
-share: tracks of which all end points stay within 2 px of the line in space
-  that they agree on, %; length: mean frames of those. parallax: median, deg.
-ms: median time of a tracker's update."""
-
-Column = tuple[str, int, str]  # key, factor, format
-IDENTITIES: dict[str, Column] = {
-    "P": ("link_precision", 100, ".1f"),
-    "R": ("link_recall", 100, ".1f"),
-    "wrong": ("wrong_links", 1, "d"),
-    "IDF1": ("idf1", 100, ".1f"),
-    "switch": ("switches_per_100", 1, ".0f"),
-    "frag": ("fragments_per_100", 1, ".0f"),
-    "ms": ("ms", 1, ".1f"),
-}
-LENGTHS: dict[str, Column] = {
-    "tracks": ("tracks", 1, "d"),
-    "length": ("track_length_mean", 1, ".1f"),
-    "med": ("track_length_median", 1, ".0f"),
-    "pure": ("pure_length_mean", 1, ".1f"),
-    "of": ("visible_length_mean", 1, ".1f"),
-    ">=3": ("alive_3", 100, ".0f"),
-    ">=5": ("alive_5", 100, ".0f"),
-    ">=10": ("alive_10", 100, ".0f"),
-}
-END_POINTS: dict[str, Column] = {"across": ("jitter_across_px", 1, ".2f"), "along": ("jitter_along_px", 1, ".1f")}
-POSED: dict[str, Column] = {
-    "tracks": ("tracks_5", 1, "d"),
-    "consistent": ("consistent_tracks", 1, "d"),
-    "share": ("consistent_share", 100, ".1f"),
-    "length": ("consistent_length_mean", 1, ".1f"),
-    "parallax": ("parallax_deg", 1, ".2f"),
-    "ms": ("ms", 1, ".1f"),
-}
+WORST = 10  # tracks in a picture
 
 
 def build_parser() -> Parser:
@@ -85,12 +38,25 @@ def build_parser() -> Parser:
         description="Measure the line tracker against known identities, beside nearest neighbour and optical flow.",
     )
     parser.add_argument(
-        "--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the table shows"
+        "--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the tables show"
     )
     parser.add_argument("--photos", type=Path, metavar="DIR", help="also photographs of a folder, moved and degraded")
     parser.add_argument("--icl", type=Path, metavar="DIR", help="also frames with labelled lines and associations")
-    parser.add_argument("--posed", type=Path, metavar="DIR", help="also a clip with poses, as KITTI has them")
+    parser.add_argument(
+        "--posed",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="also clips with poses, of KITTI, ICL-NUIM, TUM",
+    )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
+    parser.add_argument(
+        "--worst",
+        type=Path,
+        metavar="DIR",
+        help="draw the ten tracks least like a line in space, where poses are known",
+    )
     parser.add_json()
     return parser
 
@@ -106,24 +72,34 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         AirLineError: an argument or file cannot be used.
     """
-    from rich.console import Console
-
     from airline.detector import AirLine
+    from frontend.evaluation.accuracy import accuracy, jitter
+    from frontend.evaluation.coverage import coverage
+    from frontend.evaluation.metrics import identity_scores
+    from frontend.evaluation.rendered import SceneClip
 
     clips, posed_clips = _chosen(options)
     detect = AirLine()
-    sequences = {clip.name: measure(clip, detect, options.limit) for clip in clips}
-    posed = {clip.name: measure_posed(clip, detect, options.limit) for clip in posed_clips}
-    console = Console()
-    if sequences:
-        console.print(_table("Identities", sequences, IDENTITIES))
-        console.print(_table("Tracks", sequences, LENGTHS))
-        console.print(_table("Jitter of the end points, px", sequences, END_POINTS))
-    if posed:
-        title = "Tracks seen in 5 frames and more, and those that are one line in space"
-        console.print(_table(title, posed, POSED))
-    console.print(LEGEND)
-    write_json(options.json, {"sequences": sequences, "posed": posed})
+    sequences: dict[str, Any] = {}
+    accurate: dict[str, Any] = {}
+    posed: dict[str, Any] = {}
+    for clip in clips:
+        records = measure(clip, detect, options.limit)
+        sequences[clip.name] = {
+            name: {**identity_scores(run), **coverage(run), **jitter(run)} for name, run in records.items()
+        }
+        accurate[clip.name] = accuracy(records["ours"])
+        if isinstance(clip, SceneClip):
+            runs = {name: Run([r.tracked for r in run], [r.ms for r in run]) for name, run in records.items()}
+            posed[clip.name] = in_space(clip, runs)
+            _draw_worst(options, clip, (frame for frame, _ in clip), runs)
+    for folder in posed_clips:
+        with progress(folder.name, min(len(folder), options.limit or len(folder))) as advance:
+            runs = follow(islice(folder, options.limit), detect, advance)[1]
+        posed[folder.name] = in_space(folder, runs)
+        _draw_worst(options, folder, folder, runs)
+    _show(sequences, accurate, posed)
+    write_json(options.json, {"sequences": sequences, "accuracy": accurate, "posed": posed})
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
@@ -138,92 +114,122 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
         clips += moved_photos(options.photos)
     if options.icl is not None:
         clips.append(LabelledClip(options.icl))
-    posed = [PosedClip(options.posed)] if options.posed is not None else []
+    posed = [PosedClip(folder) for folder in options.posed]
     names = [clip.name for clip in clips] + [clip.name for clip in posed]
     wanted = options.sequence or names
     for name in wanted:
         if name not in names:
             raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
+        if names.count(name) > 1:
+            raise InputError(f"two sequences are called '{name}': rename a folder")
     return [clip for clip in clips if clip.name in wanted], [clip for clip in posed if clip.name in wanted]
 
 
-def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, Figures]:
-    """Figures of every tracker on the first `limit` frames of a clip with known identities; all get the same lines.
+@dataclass(frozen=True)
+class Run:
+    """A tracker's answers over a clip, and the milliseconds that each took."""
+
+    tracked: list[Tracked | LineTracks]
+    ms: list[float]
+
+
+def follow(frames: Iterable[Frame], detect: AirLine, done: Callable[[], None]) -> tuple[list[LineSet], dict[str, Run]]:
+    """The lines of every frame, and what every tracker makes of them; `done` is called after each frame.
 
     Raises:
         InputError: a frame cannot be read.
     """
-    from frontend.evaluation.metrics import identity_scores
-    from frontend.evaluation.truth import Record, owners
-
-    trackers = _trackers()
-    records: dict[str, list[Record]] = {name: [] for name in trackers}
-    with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
-        for frame, truth in islice(clip, limit):
-            lines = detect(frame.image)
-            line_owners = owners(lines.segments, truth)
-            height, width = frame.image.shape[:2]
-            for name, tracker in trackers.items():
-                tracked, ms = _timed(tracker, frame, lines)
-                records[name].append(Record(tracked, line_owners, truth, (width, height), ms))
-            advance()
-    return {name: identity_scores(run) for name, run in records.items()}
-
-
-def measure_posed(clip: PosedClip, detect: AirLine, limit: int | None) -> dict[str, Figures]:
-    """The same on a clip with known poses. What is triangulated are the detections, not what a tracker fuses."""
-    from frontend.evaluation.posed import Observation, consistency
-
-    trackers = _trackers()
-    tracks: dict[str, dict[int, list[Observation]]] = {name: {} for name in trackers}
-    times: dict[str, list[float]] = {name: [] for name in trackers}
-    with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
-        for frame in islice(clip, limit):
-            lines = detect(frame.image)
-            for name, tracker in trackers.items():
-                tracked, ms = _timed(tracker, frame, lines)
-                times[name].append(ms)
-                for track, row in zip(tracked.ids.tolist(), tracked.line_indices, strict=True):
-                    seen = Observation(lines.segments[row], clip.poses[frame.index])
-                    tracks[name].setdefault(track, []).append(seen)
-            advance()
-    return {
-        name: {**consistency(list(found.values()), clip.K), "ms": round(median(times[name]), 4)}
-        for name, found in tracks.items()
-    }
-
-
-def _trackers() -> dict[str, Tracker]:
     from frontend.evaluation.baselines import FlowTracker, NearestTracker
     from frontend.tracker import LineTracker
 
-    return {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
+    trackers: dict[str, Tracker] = {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
+    runs = {name: Run([], []) for name in trackers}
+    lines = []
+    for frame in frames:
+        trace = detect.trace(frame.image)
+        lines.append(trace.lines)
+        for name, tracker in trackers.items():
+            started = time.perf_counter()
+            runs[name].tracked.append(tracker.update(frame, trace.lines, trace.edges))
+            runs[name].ms.append(1e3 * (time.perf_counter() - started))
+        done()
+    return lines, runs
 
 
-def _timed(tracker: Tracker, frame: Frame, lines: LineSet) -> tuple[Tracked | LineTracks, float]:
-    """A tracker's answer, and the milliseconds it took."""
-    started = time.perf_counter()
-    tracked = tracker.update(frame, lines)
-    return tracked, 1e3 * (time.perf_counter() - started)
+def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, list[Record]]:
+    """Every tracker's run over the first `limit` frames of a clip with known identities, beside the truth.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    from frontend.evaluation.truth import Record, Truth, owners
+
+    known: list[tuple[Truth, tuple[int, int]]] = []
+
+    def frames() -> Iterator[Frame]:
+        for frame, truth in islice(clip, limit):
+            height, width = frame.image.shape[:2]
+            known.append((truth, (width, height)))
+            yield frame
+
+    with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
+        lines, runs = follow(frames(), detect, advance)
+    line_owners = [owners(found.segments, truth) for found, (truth, _) in zip(lines, known, strict=True)]
+    return {
+        name: [
+            Record(tracked, of, truth, size, ms)
+            for tracked, of, (truth, size), ms in zip(run.tracked, line_owners, known, run.ms, strict=True)
+        ]
+        for name, run in runs.items()
+    }
 
 
-def _table(title: str, clips: Mapping[str, Mapping[str, Figures]], columns: Mapping[str, Column]) -> Table:
-    """A row per clip and tracker."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+def in_space(clip: Posed, runs: Mapping[str, Run]) -> dict[str, dict[str, Any]]:
+    """Consistency with one line in space of what each tracker observed, and of what ours fused and calls stable."""
+    from frontend.evaluation.consistency import consistency
+    from frontend.evaluation.observations import collect
 
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    table.add_column(no_wrap=True, min_width=max(map(len, clips)))
-    table.add_column(no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right")
-    for clip, trackers in clips.items():
-        for k, (tracker, figures) in enumerate(trackers.items()):
-            values = ((figures[key], factor, form) for key, factor, form in columns.values())
-            texts = ("-" if value is None else format(value * factor, form) for value, factor, form in values)
-            table.add_row("" if k else clip, tracker, *texts)
-        table.add_section()
-    return table
+    figures = {}
+    for name, run in runs.items():
+        ms, frames = round(median(run.ms), 4), len(run.tracked)
+        every = collect(run.tracked)
+        kinds = {name: (every, every.observed_px)}
+        if name == "ours":
+            stable = every.take(every.stable)
+            kinds["fused"] = every, every.segments_px
+            kinds |= {"stable": (stable, stable.observed_px), "stable, fused": (stable, stable.segments_px)}
+        for kind, (rows, segments) in kinds.items():
+            figures[kind] = {**consistency(rows, segments, clip, frames), "ms": ms}
+    return figures
+
+
+def _draw_worst(options: argparse.Namespace, clip: Posed, frames: Iterable[Frame], runs: Mapping[str, Run]) -> None:
+    from frontend.evaluation.observations import collect
+    from frontend.evaluation.strips import draw_strips, fitted, write_strips
+
+    if options.worst is not None:
+        worst = fitted(collect(runs["ours"].tracked), clip)[:WORST]
+        if worst:
+            write_strips(options.worst / f"{clip.name}.png", draw_strips(islice(frames, options.limit), worst))
+
+
+def _show(sequences: dict[str, Any], accurate: dict[str, Any], posed: dict[str, Any]) -> None:
+    from rich.console import Console
+
+    from frontend.evaluation import report
+
+    console = Console()
+    if sequences:
+        console.print(report.table("Identities", sequences, report.IDENTITIES))
+        console.print(report.table("Tracks", sequences, report.LIVES))
+        console.print(report.table("True lines and the tracks that cover them", sequences, report.COVERAGE))
+        console.print(report.table("Jitter of end points, px", sequences, report.JITTER))
+        console.print(report.table("Lines against the truth", accurate, report.ACCURACY))
+    if posed:
+        console.print(report.table("Tracks that are one line in space", posed, report.CONSISTENT))
+        console.print(report.table("The same by length of line, %", posed, report.BY_LENGTH))
+        console.print(report.table("The same by frames, %", posed, report.BY_FRAMES))
+    console.print(report.LEGEND)
 
 
 if __name__ == "__main__":

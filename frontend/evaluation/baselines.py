@@ -48,7 +48,7 @@ class NearestTracker:
         self._velocities = np.zeros((0, 2))
         self._common = np.zeros(2)
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked:
+    def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> Tracked:
         """Take the lines of the next frame."""
         before, ids = self._tracks.segments, self._tracks.ids
         own = self._velocities - self._common
@@ -74,7 +74,7 @@ class FlowTracker:
         self._tracks = _Tracks(max_distance=2.0)
         self._image: NDArray[np.uint8] | None = None
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked:
+    def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> Tracked:
         """Take the lines of the next frame."""
         image = to_uint8(to_gray(frame.image))
         predicted = self._tracks.segments

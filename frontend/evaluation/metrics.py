@@ -1,7 +1,8 @@
 """How well a tracker keeps identities, from the records of its run over a clip.
 
-A track is taken for the true line that its detection belongs to; detections without an owner, or with an ambiguous
-one, count for nothing. Only detected lines can be tracked, so all figures are of the tracker and none of the detector.
+A track is taken for the true line that its detection belongs to, or where it was measured that of what it observed;
+those without an owner, or with an ambiguous one, count for nothing. Recall and IDF1 ask for detected lines alone, so
+all figures are of the tracker and none of the detector.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ with from_extra("evaluate"):
 Array = NDArray[np.float64]
 Figures = dict[str, float | int | None]
 ALIVE = (3, 5, 10)  # frames
-BORDER = 2.0  # px: a true end point nearer to the image's border is where the image ends, not the line
 
 
 def identity_scores(records: Sequence[Record]) -> Figures:
@@ -35,7 +35,6 @@ def identity_scores(records: Sequence[Record]) -> Figures:
     link, (switches, fragments) = links(records), changes(records)
     lengths, visible = track_lengths(records), _counts([record.detected for record in records])
     tracks = len(lengths)
-    across, along = jitter(records)
     figures: Figures = {
         "link_precision": _ratio(link.right, link.right + link.wrong),
         "link_recall": _ratio(link.found, link.possible),
@@ -49,8 +48,6 @@ def identity_scores(records: Sequence[Record]) -> Figures:
         "pure_length_mean": pure_length(records),
         "visible_length_mean": float(visible.mean()) if len(visible) else None,
         **{f"alive_{n}": float((lengths >= n).mean()) if tracks else None for n in ALIVE},
-        "jitter_across_px": across,
-        "jitter_along_px": along,
         "ms": float(np.median([record.ms for record in records])) if records else None,
     }
     return rounded(figures)
@@ -81,13 +78,14 @@ def links(records: Sequence[Record]) -> Links:
     """Links between all consecutive frames."""
     right = wrong = possible = found = 0
     for before, after in pairwise(records):
-        rows, later_rows = _linked(before, after)
+        rows, later_rows = linked(before, after)
         first, second = before.owners[rows], after.owners[later_rows]
         known = (first >= 0) & (second >= 0)
         same = known & (first == second)
         right, wrong = right + int(same.sum()), wrong + int((known & ~same).sum())
-        found += len(np.unique(first[same]))
-        possible += len(np.intersect1d(before.detected, after.detected, assume_unique=True))
+        both = np.intersect1d(before.detected, after.detected, assume_unique=True)
+        found += len(np.intersect1d(first[same], both))
+        possible += len(both)
     return Links(right, wrong, possible, found)
 
 
@@ -102,7 +100,7 @@ def idf1(records: Sequence[Record]) -> float | None:
         2 TP / (truth + answer) in [0, 1]; None where nothing is to be tracked.
     """
     truth = sum(len(record.detected) for record in records)
-    claims = _claims(records)
+    claims = _claims(records, detected=True)
     if truth == 0:
         return None
     tracks, track = np.unique(claims[:, 1], return_inverse=True)
@@ -113,11 +111,11 @@ def idf1(records: Sequence[Record]) -> float | None:
     return float(2 * agreed / (truth + len(claims)))
 
 
-def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
-    """(K, 3) int64 frame, track and true line, no two rows alike."""
+def _claims(records: Sequence[Record], detected: bool = False) -> NDArray[np.int64]:
+    """(K, 3) int64 frame, track and true line, perhaps only where the line was detected; no two rows alike."""
     claims = [np.zeros((0, 3), np.int64)]
     for frame, record in enumerate(records):
-        known = record.owners >= 0
+        known = np.isin(record.owners, record.detected) if detected else record.owners >= 0
         pairs = np.stack([record.identities[known], record.owners[known]], axis=1)
         claims.append(np.unique(np.insert(pairs, 0, frame, axis=1), axis=0))
     return np.concatenate(claims)
@@ -149,6 +147,11 @@ def changes(records: Sequence[Record]) -> tuple[int, int]:
 
 def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
     """(T,) int64 frames in which each track was seen, by id; what becomes a fragment counts as one throughout."""
+    return _counts([np.unique(ids) for ids in whole_tracks(records)])
+
+
+def whole_tracks(records: Sequence[Record]) -> list[NDArray[np.int64]]:
+    """(N,) int64 ids of every frame's rows; what ever becomes a fragment has the id of the track it is a piece of."""
     whole = {
         track: parent
         for record in records
@@ -161,7 +164,7 @@ def track_lengths(records: Sequence[Record]) -> NDArray[np.int64]:
             track = whole[track]
         return track
 
-    return _counts([np.unique([root(track) for track in record.tracked.ids.tolist()]) for record in records])
+    return [np.array([root(track) for track in record.tracked.ids.tolist()], np.int64) for record in records]
 
 
 def pure_length(records: Sequence[Record]) -> float | None:
@@ -171,58 +174,9 @@ def pure_length(records: Sequence[Record]) -> float | None:
     return float(np.maximum.reduceat(frames, start).mean()) if len(start) else None
 
 
-def jitter(records: Sequence[Record]) -> tuple[float | None, float | None]:
-    """Root mean square jitter of the end points, px, across and along the true lines; None without any.
-
-    Across: an end point's signed distance to the true line. Along: its place from the true end point on its side, of
-    true lines in one piece, where that end is not at the image's border. Changes from frame to frame are differences of
-    two errors, so their mean square is halved; constant errors and slow drift add nothing. Only right links count.
-    """
-    steps = [np.zeros((0, 2, 2))]
-    for before, after in pairwise(records):
-        rows, later_rows = _linked(before, after)
-        same = (before.owners[rows] >= 0) & (before.owners[rows] == after.owners[later_rows])
-        rows, later_rows = rows[same], later_rows[same]
-        first, second = _true_lines(before, rows), _true_lines(after, later_rows)
-        segments = before.tracked.segments_px[rows]
-        backwards = ((segments[:, 1] - segments[:, 0]) * _unit(first)).sum(axis=1) < 0
-        steps.append(_deviation(after, later_rows, second, backwards) - _deviation(before, rows, first, backwards))
-    known = [step[~np.isnan(step)] for step in np.concatenate(steps).reshape(-1, 2).T]
-    across, along = (float(np.sqrt(0.5 * np.mean(step**2))) if len(step) else None for step in known)
-    return across, along
-
-
-def _linked(before: Record, after: Record) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def linked(before: Record, after: Record) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows of the tracks that are in both frames."""
     return np.intersect1d(before.tracked.ids, after.tracked.ids, assume_unique=True, return_indices=True)[1:]
-
-
-def _true_lines(record: Record, rows: NDArray[np.intp]) -> Array:
-    """(N, 2, 2) the longest piece of the true line of each row, px."""
-    truth = record.truth
-    delta = truth.segments_px[:, 1] - truth.segments_px[:, 0]
-    order = np.lexsort((np.hypot(delta[:, 0], delta[:, 1]), truth.ids))
-    last = np.searchsorted(truth.ids[order], record.owners[rows], side="right") - 1
-    return truth.segments_px[order[last]].astype(np.float64)
-
-
-def _deviation(record: Record, rows: NDArray[np.intp], lines: Array, backwards: NDArray[np.bool_]) -> Array:
-    """(N, 2, 2) px, per end point, across and along from the true line, which `backwards` turns about; NaN: unknown."""
-    ends = np.where(backwards[:, None, None], lines[:, ::-1], lines)
-    direction = _unit(ends)
-    offset = record.tracked.segments_px[rows] - ends
-    across = offset[:, :, 1] * direction[:, None, 0] - offset[:, :, 0] * direction[:, None, 1]
-    along = np.einsum("nec,nc->ne", offset, direction)
-    limits = np.array(record.size) - 1 - BORDER
-    ids, pieces = np.unique(record.truth.ids, return_counts=True)
-    whole = pieces[np.searchsorted(ids, record.owners[rows])] == 1
-    along[~((ends > BORDER) & (ends < limits)).all(axis=2) | ~whole[:, None]] = np.nan
-    return np.stack([across, along], axis=2)
-
-
-def _unit(lines: Array) -> Array:
-    delta = lines[:, 1] - lines[:, 0]
-    return np.asarray(delta / np.hypot(delta[:, 0], delta[:, 1])[:, None])
 
 
 def _counts(ids: list[NDArray[np.int64]]) -> NDArray[np.int64]:

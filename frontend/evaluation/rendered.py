@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -44,6 +44,16 @@ class SceneClip:
 
     def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
         return map(self.at, range(len(self)))
+
+    @property
+    def K(self) -> NDArray[np.float64]:  # noqa: N802
+        """(3, 3) intrinsic matrix, px."""
+        return self.takes[0].K
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """(F, 3, 4) world_from_camera."""
+        return np.array([self.takes[0].pose(i)[:3] for i in range(len(self))])
 
     def at(self, i: int) -> tuple[Frame, Truth]:
         """Frame `i` and its lines; IndexError outside of the clip."""

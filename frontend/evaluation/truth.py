@@ -51,7 +51,7 @@ class Clip(Protocol):
 
 @dataclass(frozen=True)
 class Tracked:
-    """What of `LineTracks` is measured. Row k of every array speaks of the same track.
+    """What of `LineTracks` is evaluated. Row k of every array speaks of the same track, whose line was detected.
 
     Attributes:
         ids: (N,) int64 track ids, no two alike.
@@ -65,11 +65,24 @@ class Tracked:
     segments_px: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
 
+    @property
+    def observed_px(self) -> NDArray[np.float32]:
+        """(N, 2, 2) nothing is fused."""
+        return self.segments_px
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        return np.zeros(len(self.ids), np.bool_)
+
+    stable = measured
+
 
 class Tracker(Protocol):
-    """Takes the lines of one frame after the other."""
+    """Takes the lines of one frame after the other, and the edge map that they were found in."""
 
-    def update(self, frame: Frame, lines: LineSet) -> Tracked | LineTracks: ...
+    def update(
+        self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None
+    ) -> Tracked | LineTracks: ...
 
 
 @dataclass(frozen=True)
@@ -92,8 +105,11 @@ class Record:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """(N,) int64 true line of every track."""
-        return self.line_owners[self.tracked.line_indices]
+        """(N,) int64 true line of every track: its detection's, or where it was measured that of what was observed."""
+        found = np.append(self.line_owners, UNKNOWN)[self.tracked.line_indices]
+        measured = self.tracked.measured
+        found[measured] = owners(self.tracked.observed_px[measured], self.truth)
+        return found
 
     @property
     def identities(self) -> NDArray[np.int64]:
