@@ -82,7 +82,10 @@ def test_waiting_consumers_get_every_frame_exactly(kind: str, tmp_path: Path) ->
         publish(source, stream)
     for subscription in subscriptions:
         assert subscription.latest is None
-        assert_all_same(list(subscription), stream)
+        found = list(subscription)
+        assert_all_same(found, stream)
+        for one, sent in zip(found, stream, strict=True):
+            assert_all_same(list(one.history), list(sent.history))
         assert subscription.lost == 0
         latest = subscription.latest
         assert latest is not None
