@@ -110,7 +110,7 @@ class LineTracks:
     observed_covariances: Annotated[
         Float32,
         Field(
-            "the same of the observed line; errors of different frames are independent",
+            "of the observed line's errors, as covariances; those of different frames are independent",
             unit="px^2, px rad, px rad, rad^2",
             shape=(2, 2),
             columns="observed_var_offset observed_cov_offset_angle observed_cov_offset_angle observed_var_angle",
@@ -240,20 +240,20 @@ DERIVED = (  # follow from the others where the camera is known
     ),
     _derived(
         "observed_normalized",
-        "the same of the observed line",
+        "the observed line undistorted, on the plane z = 1",
         shape=(2, 2),
         columns="observed_u0 observed_v0 observed_u1 observed_v1",
     ),
     _derived(
         "observed_lines",
-        "a, b, c: a u + b v + c is the distance of a point (u, v) of that plane from the observed line; "
-        "(a, b) is its unit direction, from start to end, turned from u to v",
+        "a, b, c: a u + b v + c is the signed distance of (u, v) on that plane from the observed line; "
+        "(a, b) is the unit direction from start to end, turned a quarter from u to v",
         shape=(3,),
         columns="line_a line_b line_c",
     ),
     _derived(
         "observed_line_covariances",
-        "of its errors there: offset along (a, b) at the middle of observed_normalized, and angle (radians)",
+        "of the errors of observed_lines: offset along (a, b) at the middle of observed_normalized, angle (radians)",
         unit=", rad, rad, rad^2",
         shape=(2, 2),
         columns="line_var_offset line_cov_offset_angle line_cov_offset_angle line_var_angle",

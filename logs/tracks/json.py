@@ -27,7 +27,7 @@ CONVENTIONS = {
     "times": "nanoseconds of the sensor",
     "track ids": "integers that stay with a line over the frames and are never used again",
     "states": ", ".join(f"{state.value} {state.name.lower()}" for state in TrackState),
-    "covariance": "of the fused line's errors: offset across itself at its middle (px), and angle (radians)",
+    "covariance": "of a line's errors: offset across itself at its middle (px, or of the plane), and angle (radians)",
     "schema version": "1",
 }
 
