@@ -11,10 +11,8 @@ from frontend.sources.scene import SceneSource
 
 source = sys.argv[1] if len(sys.argv) > 1 else SceneSource(RenderedClip(seed=12, frames=20))
 for tracks in LineFrontend().stream(source):
-    for seen in (
-        *tracks.history,
-        tracks.take(tracks.confirmed),
-    ):  # what was seen before a track was confirmed, then now
+    # tracks that were seen often enough: in this frame, and before it what earlier frames saw of those that are new
+    for seen in (*tracks.history, tracks.take(tracks.confirmed)):
         # your backend's call goes here: stamp, ids, end points as measured in that frame, and how sure they are
         print(seen.stamp_ns, seen.ids[:8], seen.observed_px.shape, seen.observed_covariances.shape)
     print(f"frame {tracks.frame_index}: landmarks for {tracks.stable.sum()} tracks, {len(tracks.ended_ids)} ended")

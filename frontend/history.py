@@ -71,7 +71,7 @@ _ROW = np.dtype(
 class TrackHistory:
     """The latest observations of the latest tracks, for backends that want tracks rather than frames.
 
-    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes. A track of more than `max_frames`
+    Memory is bounded by `max_tracks * max_frames` observations of about 320 bytes. A track of more than `max_frames`
     loses its oldest. Of more than `max_tracks` tracks those that ended first are dropped, then those not seen for
     longest; one that is seen again starts anew under its id.
 

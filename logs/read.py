@@ -21,7 +21,7 @@ from logs.tracks.table import TableNotes, needed_columns, read_frames
 log = logging.getLogger(__name__)
 
 _DAMAGE = (pa.ArrowException, OSError, MemoryError, ValueError)  # what pyarrow raises for damaged files
-_GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 20 MB
+_GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 22 MB
 _BATCH_ROWS = 16_384
 
 

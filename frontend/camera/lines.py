@@ -16,20 +16,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+_quiet = np.errstate(all="ignore")  # infinities and NaN are answers here
 
+
+@_quiet
 def normals(segments: NDArray[np.floating]) -> NDArray[np.float64]:
     """(N, 2) unit vectors across (N, 2, 2) segments, to where y follows x; NaN for those without length."""
     delta = np.float64(segments[:, 1]) - segments[:, 0]
-    with np.errstate(invalid="ignore"):
-        return np.stack([-delta[:, 1], delta[:, 0]], axis=1) / np.hypot(delta[:, 0], delta[:, 1])[:, None]
+    return np.asarray(np.stack([-delta[:, 1], delta[:, 0]], axis=1) / np.hypot(delta[:, 0], delta[:, 1])[:, None])
 
 
+@_quiet
 def coefficients(ends: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N, 3) float32 a, b and c of the lines through (N, 2, 2) end points on the plane; NaN as `normals`."""
     n = normals(ends)
     return np.column_stack([n, -(n * ends.mean(axis=1, dtype=np.float64)).sum(axis=1)]).astype(np.float32)
 
 
+@_quiet
 def covariances_on_plane(
     segments: NDArray[np.float32],
     covariances: NDArray[np.float32],
@@ -50,7 +54,6 @@ def covariances_on_plane(
     s_0, s_1 = (steps * normals(ends)[:, None]).sum(axis=2).T
     length, there = (np.hypot(*(np.float64(one[:, 1]) - one[:, 0]).T) for one in (segments, ends))
     s, t = (s_1 + s_0) / 2, (s_1 - s_0) / 2
-    with np.errstate(invalid="ignore"):
-        rows = np.array([[s, t * length / 2], [2 * t / there, s * length / there]]).transpose(2, 0, 1)
+    rows = np.array([[s, t * length / 2], [2 * t / there, s * length / there]]).transpose(2, 0, 1)
     turned = rows @ covariances @ rows.transpose(0, 2, 1)
     return np.asarray((turned + turned.transpose(0, 2, 1)) / 2, np.float32)  # symmetric to the last bit

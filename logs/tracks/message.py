@@ -20,7 +20,7 @@ from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
 from logs.tracks.json import Camera, Int, Size, assembled
 
 VERSION = 1
-MAX_BYTES = 1 << 24  # a hundred thousand lines
+MAX_BYTES = 1 << 24  # eighty thousand lines
 
 ARRAYS = (*FIELDS, *DERIVED)  # the latter follow from the camera, but not every receiver can undistort
 

@@ -116,6 +116,7 @@ def streams(draw: st.DrawFn) -> list[LineTracks]:
         )
         odd = draw(st.lists(st.floats(width=32, allow_infinity=False), max_size=len(tracks)))
         places = (tracks.covariances[:, 0, 0], tracks.scores, tracks.segments_px[:, 1, 0], tracks.descriptors[:, 0])
+        places += (tracks.observed_px[:, 0, 1], tracks.observed_covariances[:, 1, 1])
         for values in places:
             values[: len(odd)] = odd
         frames.append(tracks)
