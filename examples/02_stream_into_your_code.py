@@ -11,6 +11,8 @@ from frontend.sources.scene import SceneSource
 
 source = sys.argv[1] if len(sys.argv) > 1 else SceneSource(RenderedClip(seed=12, frames=20))
 for tracks in LineFrontend().stream(source):
-    confirmed = tracks.confirmed
-    # your backend's call goes here: stamp, ids and end points of the lines that were seen often enough
-    print(tracks.stamp_ns, tracks.ids[confirmed][:8], tracks.segments_px[confirmed].shape)
+    # tracks that were seen often enough: in this frame, and before it what earlier frames saw of those that are new
+    for seen in (*tracks.history, tracks.take(tracks.confirmed)):
+        # your backend's call goes here: stamp, ids, end points as measured in that frame, and how sure they are
+        print(seen.stamp_ns, seen.ids[:8], seen.observed_px.shape, seen.observed_covariances.shape)
+    print(f"frame {tracks.frame_index}: landmarks for {tracks.stable.sum()} tracks, {len(tracks.ended_ids)} ended")

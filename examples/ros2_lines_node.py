@@ -37,8 +37,8 @@ def cloud_of(tracks, lines):
 
 
 def markers_of(tracks):
-    """The confirmed lines one metre before the camera."""
-    ends = tracks.segments_normalized[tracks.confirmed].reshape(-1, 2).tolist()
+    """The stable lines one metre before the camera."""
+    ends = tracks.observed_normalized[tracks.stable].reshape(-1, 2).tolist()
     marker = Marker(header=header_of(tracks, "camera"), ns="lines", type=Marker.LINE_LIST, action=Marker.ADD)
     marker.points = [Point(x=x, y=y, z=1.0) for x, y in ends]
     marker.scale, marker.color = Vector3(x=0.003), ColorRGBA(g=1.0, a=1.0)

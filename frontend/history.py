@@ -1,45 +1,40 @@
-"""Whole tracks, collected from the frames of a stream in bounded memory."""
+"""Whole tracks, collected from the frames of a stream in bounded memory, and what was seen before a confirmation."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError, InputError
-from frontend.tracks import LineTracks
+from frontend.tracks import DERIVED, FIELDS, LineTracks
 
-# One observation, under the names of `Observations`; normalized is NaN without a camera.
-_ROW = np.dtype(
-    [
-        ("frame_indices", np.int64),
-        ("stamps_ns", np.int64),
-        ("segments_px", np.float32, (2, 2)),
-        ("observed_px", np.float32, (2, 2)),
-        ("segments_normalized", np.float32, (2, 2)),
-        ("scores", np.float32),
-        ("has_camera", np.bool_),
-    ]
-)
+PATIENCE = 300  # frames; what was not seen for longer has ended, and the message that said so was lost
 
 
 @dataclass(frozen=True)
 class Observations:
     """One track through time: T observations in time order, frames without the line left out.
 
+    What is on the plane z = 1 is None if a camera was unknown.
+
     Attributes:
         track_id: the track.
         frame_indices: (T,) int64 `Frame.index`.
         stamps_ns: (T,) int64 sensor times, ns.
         segments_px: (T, 2, 2) float32 px, as fused up to that frame.
-        observed_px: (T, 2, 2) float32 px, as detected in that frame alone: errors are independent of other frames.
-        segments_normalized: (T, 2, 2) float32 `segments_px` undistorted on the plane z = 1; None if a camera was
-            unknown.
+        observed_px: (T, 2, 2) float32 px, as measured in that frame alone: errors are independent of other frames.
+        observed_covariances: (T, 2, 2) float32 of these errors: offset across at the middle, px, and angle, radians.
         scores: (T,) float32.
+        measured: (T,) bool, not detected, but found where the track was predicted.
+        segments_normalized: (T, 2, 2) float32 `segments_px` undistorted on the plane z = 1.
+        observed_normalized: (T, 2, 2) float32 `observed_px` undistorted.
+        observed_lines: (T, 3) float32 a, b, c of the observed lines a u + b v + c = 0 there.
+        observed_line_covariances: (T, 2, 2) float32 of their errors: offset across at the middle, and angle, radians.
         ended: whether the track will never be seen again.
     """
 
@@ -48,18 +43,35 @@ class Observations:
     stamps_ns: NDArray[np.int64]
     segments_px: NDArray[np.float32]
     observed_px: NDArray[np.float32]
-    segments_normalized: NDArray[np.float32] | None
+    observed_covariances: NDArray[np.float32]
     scores: NDArray[np.float32]
+    measured: NDArray[np.bool_]
+    segments_normalized: NDArray[np.float32] | None
+    observed_normalized: NDArray[np.float32] | None
+    observed_lines: NDArray[np.float32] | None
+    observed_line_covariances: NDArray[np.float32] | None
     ended: bool
 
     def __len__(self) -> int:
         return len(self.frame_indices)
 
 
+# One observation, under the names of `Observations`; what is derived is NaN without a camera.
+_KEPT = [one for one in (*FIELDS, *DERIVED) if one.name in Observations.__annotations__]
+_ROW = np.dtype(
+    [
+        ("frame_indices", np.int64),
+        ("stamps_ns", np.int64),
+        ("has_camera", np.bool_),
+        *((one.name, one.dtype, one.shape) for one in _KEPT),
+    ]
+)
+
+
 class TrackHistory:
     """The latest observations of the latest tracks, for backends that want tracks rather than frames.
 
-    Memory is bounded by `max_tracks * max_frames` observations of about 250 bytes. A track of more than `max_frames`
+    Memory is bounded by `max_tracks * max_frames` observations of about 320 bytes. A track of more than `max_frames`
     loses its oldest. Of more than `max_tracks` tracks those that ended first are dropped, then those not seen for
     longest; one that is seen again starts anew under its id.
 
@@ -136,14 +148,45 @@ class TrackHistory:
                 self._ended[track_id] = rows
 
 
+class Confirmations:
+    """Hands the earlier observations of a track on with the frame that confirms it, in any stream of `LineTracks`."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[int, list[tuple[int, LineTracks, int]]] = {}  # the one not seen for longest comes first
+        self._frames = 0
+
+    def add(self, tracks: LineTracks) -> LineTracks:
+        """The next frame's tracks, with their `history`."""
+        tracks = replace(tracks, earlier=()) if tracks.earlier else tracks
+        waiting, self._frames = self._waiting, self._frames + 1
+        if tracks.reset is not None:
+            waiting.clear()
+        confirmed, ids = tracks.confirmed, tracks.ids
+        earlier: dict[int, tuple[LineTracks, list[int]]] = {}
+        for track_id in waiting.keys() & set(ids[confirmed].tolist()):
+            for number, frame, row in waiting.pop(track_id):
+                earlier.setdefault(number, (frame, []))[1].append(row)
+        rows = np.flatnonzero(~confirmed)
+        for row, track_id in zip(rows.tolist(), ids[rows].tolist(), strict=True):
+            sightings = waiting[track_id] = waiting.pop(track_id, [])
+            sightings.append((self._frames, tracks, row))
+        for track_id in tracks.ended_ids.tolist():
+            waiting.pop(track_id, None)
+        while waiting and next(iter(waiting.values()))[-1][0] < self._frames - PATIENCE:
+            del waiting[next(iter(waiting))]
+        if not earlier:
+            return tracks
+        return replace(tracks, earlier=tuple((frame, np.sort(rows)) for _, (frame, rows) in sorted(earlier.items())))
+
+
 def _rows(tracks: LineTracks) -> list[np.void]:
     """One record per track, each with memory of its own, so that it does not hold on to the frame's arrays."""
     table = np.zeros(len(tracks), _ROW)
-    table["frame_indices"], table["stamps_ns"], table["scores"] = tracks.frame_index, tracks.stamp_ns, tracks.scores
-    table["segments_px"], table["observed_px"] = tracks.segments_px, tracks.observed_px
-    normalized = tracks.segments_normalized
-    table["has_camera"] = normalized is not None
-    table["segments_normalized"] = np.nan if normalized is None else normalized
+    table["frame_indices"], table["stamps_ns"] = tracks.frame_index, tracks.stamp_ns
+    table["has_camera"] = tracks.camera is not None
+    for one in _KEPT:
+        values = getattr(tracks, one.name)
+        table[one.name] = np.nan if values is None else values
     return [row.copy() for row in table]
 
 
@@ -151,5 +194,5 @@ def _observations(track_id: int, rows: deque[np.void], ended: bool) -> Observati
     table = np.array(rows, _ROW)
     columns: dict[str, Any] = {name: table[name].copy() for name in _ROW.names or ()}
     if not columns.pop("has_camera").all():
-        columns["segments_normalized"] = None
+        columns |= dict.fromkeys(one.name for one in DERIVED)
     return Observations(track_id, ended=ended, **columns)

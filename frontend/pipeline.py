@@ -96,7 +96,8 @@ class LineFrontend:
     Example:
         >>> from frontend import LineFrontend
         >>> for tracks in LineFrontend().stream("video.mp4"):  # doctest: +SKIP
-        ...     backend.add_lines(tracks.stamp_ns, tracks.ids, tracks.segments_px)
+        ...     good = tracks.take(tracks.stable)
+        ...     backend.add_lines(good.stamp_ns, good.ids, good.observed_px, good.observed_covariances)
     """
 
     def __init__(self, detector: AirLine | None = None, tracker: LineTracker | None = None) -> None:

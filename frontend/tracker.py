@@ -12,6 +12,7 @@ from airline.lines import LineSet
 from airline.stages.refine import ImageRefiner
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
+from frontend.history import Confirmations
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.assignment import assign
 from frontend.tracking.camera_motion import Motion
@@ -74,6 +75,7 @@ class LineTracker:
         self._motion = Motion()
         self._noise = 1.0
         self._refiner = ImageRefiner()
+        self._confirmations = Confirmations()
 
     def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
@@ -109,7 +111,7 @@ class LineTracker:
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
-        return self._result(frame, seen, tracks, line_of, ended, reset)
+        return self._confirmations.add(self._result(frame, seen, tracks, line_of, ended, reset))
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:

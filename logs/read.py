@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from airline.errors import InputError
+from frontend.history import Confirmations
 from frontend.tracks import LineTracks
 from logs.files import MCAP_MAGIC
 from logs.tracks.json import SCHEMA_NAME, decode_tracks
@@ -20,7 +21,7 @@ from logs.tracks.table import TableNotes, needed_columns, read_frames
 log = logging.getLogger(__name__)
 
 _DAMAGE = (pa.ArrowException, OSError, MemoryError, ValueError)  # what pyarrow raises for damaged files
-_GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 20 MB
+_GROUP_BYTES = 1 << 30  # of a Parquet row group; ours have 22 MB
 _BATCH_ROWS = 16_384
 
 
@@ -41,7 +42,8 @@ def read_tracks(path: str | os.PathLike[str]) -> Iterator[LineTracks]:
         raise InputError(f"cannot read tracks from '{path}': {error}") from error
     for magic, read in _KINDS.items():
         if start.startswith(magic):
-            return read(path)
+            confirmations = Confirmations()
+            return (confirmations.add(tracks) for tracks in read(path))
     raise InputError(f"cannot read tracks from '{path}': it is no MCAP or Parquet file with tracks, and no journal")
 
 

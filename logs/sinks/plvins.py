@@ -34,6 +34,7 @@ class PlVinsLines:
     - Numbers are not track ids. PL-VINS takes the observations of a number for those of consecutive frames, so a track
       that was lost for a while goes on under a new one; and it sends numbers as float32, so they are counted from 0
       and begin again at 2^24. By then their first holders are long gone from its window of ten frames.
+    - Lines as observed: the estimator takes the errors of different frames for independent, which fused lines' are not.
     - Lines with an end that no undistortion reaches are left out.
     """
 
@@ -50,7 +51,7 @@ class PlVinsLines:
         Raises:
             ConfigError: a frame without a camera.
         """
-        segments = tracks.segments_normalized
+        segments = tracks.observed_normalized
         if segments is None:
             raise ConfigError("PL-VINS needs normalized coordinates: give the camera's calibration with --calib FILE")
         usable = tracks.confirmed & np.isfinite(segments).all((1, 2))

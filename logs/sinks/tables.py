@@ -22,8 +22,8 @@ from logs.sinks.output import OutputFile, check_new, check_table, journal_of, wh
 from logs.tracks.json import Camera
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
 
-_ROWS_WAITING = 50_000  # at most, 10 MB
-_GROUP_ROWS = 100_000  # 20 MB
+_ROWS_WAITING = 50_000  # at most, 11 MB
+_GROUP_ROWS = 100_000  # 22 MB
 _DESCRIPTOR_LENGTH = 6  # of a CSV file without rows
 
 

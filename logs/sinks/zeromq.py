@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 from airline.errors import ConfigError, InputError, from_extra
+from frontend.history import Confirmations
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.open import Address, cannot_publish, parse_address
@@ -98,7 +99,7 @@ def subscribe_tracks(address: str, *, timeout_s: float | None = 10.0) -> TrackSu
     Example:
         >>> with subscribe_tracks("tcp://127.0.0.1:5555") as subscription:  # doctest: +SKIP
         ...     for tracks in subscription:
-        ...         backend.add_lines(tracks.stamp_ns, tracks.ids, tracks.segments_normalized)
+        ...         backend.add_lines(tracks.stamp_ns, tracks.ids, tracks.observed_normalized)
 
     Args:
         address: what `frontend.run --publish` was given, `tcp://HOST:PORT` or `ipc://PATH`.
@@ -127,6 +128,7 @@ class TrackSubscription:
         self.latest: LiveTracks | None = None
         self._address = parse_address(address)
         self._timeout_s = timeout_s
+        self._confirmations = Confirmations()
         if self._address.scheme == "ws":
             raise ConfigError(f"'{address}' is for Foxglove: subscribe to a tcp:// or ipc:// address")
         self._context = zmq.Context()
@@ -150,7 +152,7 @@ class TrackSubscription:
             if message.tracks is None:
                 self.close()
             else:
-                yield message.tracks
+                yield self._confirmations.add(message.tracks)
 
     def __enter__(self) -> TrackSubscription:
         return self
@@ -179,6 +181,7 @@ class TrackSubscription:
         if before is None:
             return
         if message.stream != before.stream:
+            self._confirmations = Confirmations()
             raise InputError(f"the publisher at {self._address} began anew, and so do its track ids: subscribe again")
         lost = message.sequence - before.sequence - 1
         if lost < 0:

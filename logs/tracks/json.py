@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import FIELDS, Field, LineTracks, TrackState
+from frontend.tracks import DERIVED, FIELDS, Field, LineTracks, TrackState
 
 SECOND_NS = 1_000_000_000
 SCHEMA_NAME = "frontend.LineTracks"
@@ -27,7 +27,7 @@ CONVENTIONS = {
     "times": "nanoseconds of the sensor",
     "track ids": "integers that stay with a line over the frames and are never used again",
     "states": ", ".join(f"{state.value} {state.name.lower()}" for state in TrackState),
-    "covariance": "of the fused line's errors: offset across itself at its middle (px), and angle (radians)",
+    "covariance": "of a line's errors: offset across itself at its middle (px, or of the plane), and angle (radians)",
     "schema version": "1",
 }
 
@@ -71,7 +71,7 @@ def assembled(
     Raises:
         ValueError: an array is missing, or they do not fit each other.
     """
-    complete = {}
+    complete: dict[str, Any] = {}
     counts = {"seen": arrays.get("ids", ()), "lost": arrays.get("lost_ids", ()), "ended": arrays.get("ended_ids", ())}
     for field in FIELDS:
         count = len(counts[field.rows])
@@ -96,6 +96,7 @@ def encode_tracks(tracks: LineTracks) -> bytes:
         array = fields[field.name] = np.ascontiguousarray(getattr(tracks, field.name))
         if field.shape == (-1,):
             fields[_length_of(field)] = array.shape[1]
+    fields |= {one.name: getattr(tracks, one.name) for one in DERIVED}
     fields |= {"camera": Camera.of(tracks.camera), "reset": tracks.reset}
     return orjson.dumps(fields, default=msgspec.to_builtins, option=orjson.OPT_SERIALIZE_NUMPY)
 
@@ -129,23 +130,30 @@ def _length_of(field: Field) -> str:
 
 
 def _members() -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """Key, type and JSON schema of each array."""
+    """Key, type and JSON schema of each array that is read back."""
     kind: Any
-    items: dict[str, Any]
     for field in FIELDS:
         if field.dtype.kind == "f":
-            kind, items = _Real, {"type": ["number", "null"]}
+            kind = _Real
         elif field.dtype.kind == "b":
-            kind, items = bool, {"type": "boolean"}
+            kind = bool
         else:
             limits = np.iinfo(field.dtype)
-            kind, items = Annotated[int, Meta(ge=int(limits.min), le=int(limits.max))], {"type": "integer"}
+            kind = Annotated[int, Meta(ge=int(limits.min), le=int(limits.max))]
         for size in reversed(field.shape):
             kind = list[kind] if size < 0 else tuple[(kind,) * size]  # type: ignore[misc]
-            items = {"type": "array", **({} if size < 0 else {"minItems": size, "maxItems": size}), "items": items}
-        yield field.name, list[kind] | None, {"type": "array", "items": items, "description": field.text}
+        yield field.name, list[kind] | None, _schema(field)
         if field.shape == (-1,):
             yield _length_of(field), Size, {"type": "integer", "minimum": 0, "description": "C"}
+
+
+def _schema(field: Field) -> dict[str, Any]:
+    types = {"f": ["number", "null"], "b": "boolean"}
+    items: dict[str, Any] = {"type": types.get(field.dtype.kind, "integer")}
+    for size in reversed(field.shape):
+        items = {"type": "array", **({} if size < 0 else {"minItems": size, "maxItems": size}), "items": items}
+    kind = ["array", "null"] if field in DERIVED else "array"  # null without a camera
+    return {"type": kind, "items": items, "description": field.text}
 
 
 def _object(description: str, properties: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -185,6 +193,7 @@ SCHEMA = _object(
         "timestamp": _object("sensor time of the image", _TIME, title="time"),
         "frame_index": {"type": "integer", "description": "number of the frame in its source, from 0"},
         **{name: schema for name, _, schema in _members()},
+        **{field.name: _schema(field) for field in DERIVED},
         "camera": _object("the camera, null where unknown", _CAMERA, type=["object", "null"]),
         "reset": {"type": ["string", "null"], "description": "why all earlier tracks ended before this frame"},
     },

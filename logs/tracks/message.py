@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.protocols import FrameResult
-from frontend.tracks import FIELDS, NORMALIZED, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
 from logs.tracks.json import Camera, Int, Size, assembled
 
 VERSION = 1
-MAX_BYTES = 1 << 24  # a hundred thousand lines
+MAX_BYTES = 1 << 24  # eighty thousand lines
 
-ARRAYS = (*FIELDS[:2], NORMALIZED, *FIELDS[2:])  # normalized follows from the camera, but not every receiver can
+ARRAYS = (*FIELDS, *DERIVED)  # the latter follow from the camera, but not every receiver can undistort
 
 
 @dataclass(frozen=True)

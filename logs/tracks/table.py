@@ -7,7 +7,7 @@ others. Frames without any row, and the cameras, do not fit a table: `TableNotes
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import FIELDS, NORMALIZED, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
 from logs.tracks.json import CONVENTIONS, Camera, assembled, decode_tracks, encode_tracks
 
 # The order of the first version's columns; fields that came later follow.
@@ -28,7 +28,7 @@ _ORDER = (
     *("line_indices", "covariances", "descriptors"),
 )
 _SEEN = sorted(
-    (one for one in (*FIELDS, NORMALIZED) if one.rows == "seen"),
+    (one for one in (*FIELDS, *DERIVED) if one.rows == "seen"),
     key=lambda one: _ORDER.index(one.name) if one.name in _ORDER else len(_ORDER),
 )
 _PER_FRAME = [one for one in FIELDS if one.rows != "seen"]
@@ -37,7 +37,7 @@ _DAMAGED = "its rows are damaged"
 
 
 def _columns(one: Field) -> list[pa.Field]:
-    kind, nullable, meaning = pa.from_numpy_dtype(one.dtype), one is NORMALIZED, one.meaning
+    kind, nullable, meaning = pa.from_numpy_dtype(one.dtype), one in DERIVED, one.meaning
     if one.rows != "seen":
         nullable, meaning = True, f"in the first row of each frame, null in the others: {meaning}"
     if one.rows != "seen" or one.shape == (-1,):
@@ -60,7 +60,7 @@ SCHEMA = pa.schema(
 )
 FRAME_COLUMNS = [name for one in _PER_FRAME for name, _ in one.numbers] + ["reset"]
 _LATER = {name for one in FIELDS if one.older is not None for name, _ in one.numbers}
-_DERIVED = {name for name, _ in NORMALIZED.numbers}
+_DERIVED = {name for one in DERIVED for name, _ in one.numbers}
 
 
 @dataclass
@@ -119,11 +119,11 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
         "stamp_ns": np.repeat(np.array([tracks.stamp_ns for tracks in frames], np.int64), counts),
         "frame": np.repeat(np.array([tracks.frame_index for tracks in frames], np.int64), counts),
         "reset": in_first_rows(tracks.reset for tracks in frames),
-        **_normalized(frames, sum(counts)),
     }
-    for one in FIELDS:
+    by_camera = [_joined([*run]) for _, run in groupby(frames, key=lambda tracks: id(tracks.camera))]
+    for one in (*FIELDS, *DERIVED):
         names = [name for name, _ in one.numbers]
-        values = [np.asarray(getattr(tracks, one.name), one.dtype) for tracks in frames]
+        values = [_values(tracks, one) for tracks in (by_camera if one in DERIVED else frames)]
         flat = np.concatenate([np.empty(0, one.dtype), *(value.ravel() for value in values)])
         if one.rows != "seen":
             columns[names[0]] = in_first_rows(value.ravel() for value in values)
@@ -132,23 +132,21 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
             columns[names[0]] = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
         else:
             columns |= zip(names, flat.reshape(-1, len(names)).T, strict=True)
-    return pa.record_batch([pa.array(columns[one.name], one.type) for one in SCHEMA], schema=SCHEMA)
+    no_camera = np.repeat(np.array([tracks.camera is None for tracks in frames], np.bool_), counts)
+    arrays = [pa.array(columns[one.name], one.type, mask=no_camera if one.name in _DERIVED else None) for one in SCHEMA]
+    return pa.record_batch(arrays, schema=SCHEMA)
 
 
-def _normalized(frames: Sequence[LineTracks], rows: int) -> dict[str, pa.Array]:
-    """The columns of `segments_normalized`; each camera is asked once."""
-    points = np.zeros((rows, 4), np.float32)
-    unknown = np.zeros(rows, np.bool_)
-    end = 0
-    for _, run in groupby(frames, key=lambda tracks: id(tracks.camera)):
-        same = list(run)
-        camera, segments = same[0].camera, [tracks.segments_px for tracks in same]
-        start, end = end, end + sum(map(len, segments))
-        if camera is None:
-            unknown[start:end] = True
-        else:
-            points[start:end] = camera.normalize(np.concatenate(segments)).reshape(-1, 4)
-    return {name: pa.array(points[:, k], mask=unknown) for k, (name, _) in enumerate(NORMALIZED.numbers)}
+def _joined(frames: list[LineTracks]) -> LineTracks:
+    """Frames of one camera as one, for what is derived: lenses take the points of many as fast as those of one."""
+    inputs = ("ids", "segments_px", "observed_px", "observed_covariances")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in frames]) for name in inputs}
+    return replace(frames[0], **arrays)
+
+
+def _values(tracks: LineTracks, one: Field) -> NDArray[Any]:
+    values = getattr(tracks, one.name)
+    return np.zeros((len(tracks), *one.shape), one.dtype) if values is None else np.asarray(values, one.dtype)
 
 
 def needed_columns(schema: pa.Schema) -> list[str]:

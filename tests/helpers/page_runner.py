@@ -37,8 +37,11 @@ class Backend:
         assert segments is None or segments.shape == (len(ids), 2, 2)
         assert all(len(array) == len(ids) for array in more)
 
-    def add_track(self, stamps_ns: np.ndarray, segments: np.ndarray) -> None:
-        assert segments.shape == (len(stamps_ns), 2, 2)
+    def add_track(self, stamps_ns: np.ndarray, segments: np.ndarray, covariances: np.ndarray) -> None:
+        assert segments.shape == covariances.shape == (len(stamps_ns), 2, 2)
+
+    def make_landmarks(self, ids: np.ndarray) -> None:
+        assert ids.dtype == np.int64
 
     def forget_lines(self, ids: np.ndarray) -> None:
         assert ids.dtype == np.int64

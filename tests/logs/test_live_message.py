@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airline.errors import InputError
-from frontend.tracks import LineTracks
+from frontend.tracks import DERIVED, Field, LineTracks
 from logs.tracks.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
-from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import CAMERA, assert_same, clip_results, made_tracks, result_of
 
 ENVELOPE = {"stream": 17, "sequence": 3, "name": "clip", "sent_ns": 2**62}
 TRACKS = made_tracks(7, 8, np.array([3, 5, 2**40]), np.random.default_rng(0), lost=2, ended=1, reset="a scene cut")
@@ -52,14 +52,15 @@ def test_arrays_are_what_the_page_says() -> None:
         np.testing.assert_array_equal(values, getattr(tracks, name))
 
 
-def test_normalized_segments_are_nan_without_a_camera() -> None:
-    array = unpacked()["arrays"]["segments_normalized"]
-    assert np.isfinite(np.frombuffer(array["data"], array["dtype"])).all()
-    tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=None)
-    message = msgspec.msgpack.decode(encoded(tracks))
-    assert message["camera"] is None
-    array = message["arrays"]["segments_normalized"]
-    assert np.isnan(np.frombuffer(array["data"], array["dtype"]).reshape(4, 2, 2)).all()
+@pytest.mark.parametrize("field", DERIVED, ids=lambda field: field.name)
+def test_what_is_derived_is_nan_without_a_camera(field: Field) -> None:
+    for camera in (CAMERA, None):
+        tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=camera)
+        message = msgspec.msgpack.decode(encoded(tracks))
+        assert (message["camera"] is None) == (camera is None)
+        array = message["arrays"][field.name]
+        numbers = np.frombuffer(array["data"], array["dtype"]).reshape(4, *field.shape)
+        assert (np.isnan(numbers) == (camera is None)).all()
 
 
 def test_the_end() -> None:

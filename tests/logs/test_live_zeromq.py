@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,10 @@ def test_waiting_consumers_get_every_frame_exactly(kind: str, tmp_path: Path) ->
         publish(source, stream)
     for subscription in subscriptions:
         assert subscription.latest is None
-        assert_all_same(list(subscription), stream)
+        found = list(subscription)
+        assert_all_same(found, stream)
+        for one, sent in zip(found, stream, strict=True):
+            assert_all_same(list(one.history), list(sent.history))
         assert subscription.lost == 0
         latest = subscription.latest
         assert latest is not None
@@ -172,13 +176,16 @@ def test_what_is_no_message_is_an_error_and_the_next_one_can_be_read(sender: tup
 
 def test_a_publisher_that_begins_anew_is_noticed(sender: tuple[Callable[..., None], str]) -> None:
     send, address = sender
+    tentative, confirmed = (
+        replace(*frames(1), states=np.full(20, state, np.uint8), ended_ids=np.zeros(0, np.int64)) for state in (0, 1)
+    )
     with subscribe_tracks(address) as subscription:
-        for stream, number in ((1, 5), (2, 0), (2, 1), (2, 1)):
-            send(encode(result_of(frames(1)[0]), stream=stream, sequence=number, name="", sent_ns=0))
+        for tracks, stream, number in ((tentative, 1, 5), (tentative, 2, 0), (confirmed, 2, 1), (confirmed, 2, 1)):
+            send(encode(result_of(tracks), stream=stream, sequence=number, name="", sent_ns=0))
         next(iter(subscription))
         with pytest.raises(InputError, match="began anew"):
             next(iter(subscription))
-        next(iter(subscription))
+        assert next(iter(subscription)).history == (), "the ids are those of other lines"
         with pytest.raises(InputError, match="message 1 behind message 1"):
             next(iter(subscription))
 

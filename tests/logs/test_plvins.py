@@ -55,7 +55,7 @@ def test_the_clip_arrives_as_it_was_tracked(tmp_path):
         lines = lines_of(cloud)
         chosen = tracks.confirmed
         np.testing.assert_array_equal(
-            np.array(list(lines.values()), np.float32).reshape(-1, 4), tracks.segments_normalized[chosen].reshape(-1, 4)
+            np.array(list(lines.values()), np.float32).reshape(-1, 4), tracks.observed_normalized[chosen].reshape(-1, 4)
         )
         for number, track in zip(lines, tracks.ids[chosen].tolist(), strict=True):
             assert ids_of.setdefault(number, track) == track, "a number never changes its track"
@@ -75,11 +75,11 @@ def test_an_interrupted_track_goes_on_under_a_new_number(tmp_path):
 def test_tentative_tracks_and_lines_out_of_reach_are_left_out(tmp_path):
     (tracks,) = confirmed(made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=FISHEYE))
     tracks.states[1] = 0
-    tracks.segments_px[2, 1] = 1e5
+    tracks.observed_px[2, 1] = 1e5
     write(tmp_path / "plvins.mcap", [tracks])
     ((*_, cloud),) = read(tmp_path / "plvins.mcap")
     np.testing.assert_allclose(
-        list(lines_of(cloud).values()), tracks.segments_normalized[[0, 3]].reshape(-1, 4), rtol=1e-6
+        list(lines_of(cloud).values()), tracks.observed_normalized[[0, 3]].reshape(-1, 4), rtol=1e-6
     )
 
 

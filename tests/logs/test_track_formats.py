@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -18,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from airline.errors import InputError
-from frontend.tracks import FIELDS, LineTracks
+from frontend.tracks import DERIVED, FIELDS, LineTracks
 from logs.read import read_tracks
 from logs.sinks.open import open_track_sink
 from logs.sinks.output import journal_of
@@ -101,7 +102,42 @@ def test_every_float32_survives_json(value: float) -> None:
     assert_same(decode_tracks(encode_tracks(tracks)), tracks)
 
 
-@pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)
+@pytest.mark.parametrize("there_and_back", [by_mcap, by_parquet, by_journal])
+def test_history_is_read_back(there_and_back: Callable, tmp_path: Path) -> None:
+    stream = [result.tracks for result in clip_results()]
+    assert sum(len(tracks.history) for tracks in stream) > 10
+    for found, sent in zip(there_and_back(stream, tmp_path), stream, strict=True):
+        assert_all_same(list(found.history), list(sent.history))
+
+
+def test_files_from_before_a_field_have_what_stands_for_it(tmp_path: Path) -> None:
+    later = [field for field in FIELDS if field.older is not None]
+    assert {field.rows for field in later} == {"seen", "lost"}
+    gone = {*(field.name for field in later), *(field.name for field in DERIVED)}
+    stream = [tracks for tracks in CLIP if len(tracks)]
+    texts = [json.loads(encode_tracks(tracks)) for tracks in stream]
+    messages = [msgspec.msgpack.decode(encode(result_of(t), stream=1, sequence=0, name="", sent_ns=0)) for t in stream]
+    for message in messages:
+        message["arrays"] = {name: array for name, array in message["arrays"].items() if name not in gone}
+    path = write(stream, tmp_path / "t.parquet")
+    table, notes = pq.read_table(path), pq.ParquetFile(path).metadata.metadata
+    columns = {name for field in (*later, *DERIVED) for name, _ in field.numbers}
+    with pq.ParquetWriter(path, (old := table.drop_columns(sorted(columns))).schema) as writer:
+        writer.write_table(old)
+        writer.add_key_value_metadata({key: notes[key] for key in (b"cameras", b"frames without rows")})
+    found = [
+        [decode_tracks(json.dumps({k: v for k, v in text.items() if k not in gone}).encode()) for text in texts],
+        [decode(msgspec.msgpack.encode(message)).tracks for message in messages],
+        list(read_tracks(path)),
+    ]
+    expected = [
+        replace(t, **{field.name: np.full_like(getattr(t, field.name), field.older) for field in later}) for t in stream
+    ]
+    for one in found:
+        assert_all_same(one, expected)
+
+
+@pytest.mark.parametrize("field", [*FIELDS, *DERIVED], ids=lambda field: field.name)
 def test_every_format_holds_every_field(field, tmp_path: Path) -> None:
     columns = {name for name, _ in field.numbers}
     assert {SCHEMA["properties"][field.name]["description"]} == {field.text}
@@ -114,7 +150,7 @@ def test_every_format_holds_every_field(field, tmp_path: Path) -> None:
     assert columns <= header or field.name == "descriptors" or field.rows != "seen"
 
 
-ONE_LINE = '    consistency: Annotated[Float32, Field("share of the tracks that move like this one", older=1)]\n'
+ONE_LINE = '    parallax: Annotated[Float32, Field("how far the line moves against its neighbours", "px", older=1)]\n'
 WITH_A_NEW_FIELD = """
 import sys, numpy as np
 from pathlib import Path
@@ -122,13 +158,13 @@ from frontend.tracks import FIELDS
 from logs.read import read_tracks
 from tests.logs.test_track_formats import CLIP, FORMATS, write
 folder = Path(sys.argv[1])
-assert "consistency" in [field.name for field in FIELDS] and CLIP[0].consistency.any()
+assert "parallax" in [field.name for field in FIELDS] and CLIP[0].parallax.any()
 for there_and_back in FORMATS:
     for found, sent in zip(there_and_back(CLIP, folder), CLIP, strict=True):
-        assert np.array_equal(found.consistency, sent.consistency)
-assert "consistency" in write(CLIP, folder / "t.csv").read_text().partition("\\n")[0].split(",")
+        assert np.array_equal(found.parallax, sent.parallax)
+assert "parallax" in write(CLIP, folder / "t.csv").read_text().partition("\\n")[0].split(",")
 for name in ("old.mcap", "old.parquet"):
-    assert all((tracks.consistency == 1).all() for tracks in read_tracks(folder / name))
+    assert all((tracks.parallax == 1).all() for tracks in read_tracks(folder / name))
 """
 
 

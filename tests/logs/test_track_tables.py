@@ -7,10 +7,12 @@ import json
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
 from airline.errors import InputError
+from frontend.tracks import DERIVED
 from logs.read import read_tracks
 from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
@@ -43,6 +45,8 @@ def test_one_row_per_observation(path, clip):
         ("observed_x0 observed_y0 observed_x1 observed_y1", "observed_px"),
         ("u0 v0 u1 v1", "segments_normalized"),
         ("var_offset cov_offset_angle cov_offset_angle var_angle", "covariances"),
+        ("measured", "measured"),
+        *((" ".join(name for name, _ in one.numbers), one.name) for one in DERIVED),
     ):
         expected = np.concatenate([getattr(tracks, field) for tracks in clip])
         found = np.stack([column[name] for name in names.split()], axis=1).reshape(expected.shape)
@@ -73,18 +77,19 @@ def test_frames_across_batches_and_row_groups(tmp_path, monkeypatch):
     assert_all_same(list(read_tracks(tmp_path / "t.parquet")), stream)
 
 
-def test_normalized_points_are_null_without_a_camera_and_nan_out_of_its_reach(tmp_path):
+@pytest.mark.parametrize("name", ["u0", "observed_u0", "line_a", "line_var_angle"])
+def test_normalized_numbers_are_null_without_a_camera_and_nan_out_of_its_reach(tmp_path, name):
     rng = np.random.default_rng(0)
     cameras = [None, FISHEYE, CAMERA, None]
     stream = [made_tracks(k, k, np.arange(2), rng, camera=camera) for k, camera in enumerate(cameras)]
-    stream[1].segments_px[0, 0] = 1e6
+    stream[1].segments_px[0, 0] = stream[1].observed_px[0, 0] = 1e6
     write(tmp_path / "t.parquet", stream)
-    u0 = pq.read_table(tmp_path / "t.parquet")["u0"].combine_chunks()
-    assert u0.is_null().to_pylist() == [True, True, False, False, False, False, True, True]
-    assert np.isnan(u0.to_numpy(zero_copy_only=False)[2])
+    column = pq.read_table(tmp_path / "t.parquet")[name].combine_chunks()
+    assert column.is_null().to_pylist() == [True, True, False, False, False, False, True, True]
+    assert np.isnan(column.to_numpy(zero_copy_only=False)).tolist() == [True, True, True, *[False] * 3, True, True]
     write(tmp_path / "t.csv", stream)
     with (tmp_path / "t.csv").open() as file:
-        values = [row["u0"] for row in csv.DictReader(file)]
+        values = [row[name] for row in csv.DictReader(file)]
     assert values[:2] == ["", ""]
     assert values[2] == "nan"
 
@@ -96,7 +101,10 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
     table = pq.read_table(path)
     descriptors = {f"d{k}" for k in range(6)}
     assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS}) | descriptors
-    for name in rows[0].keys() - descriptors:
+    typed = pa.csv.read_csv(tmp_path / "t.csv")
+    for name in {"measured", "stable"}:  # true and false, which pandas takes for a mask
+        assert typed[name].equals(table[name])
+    for name in rows[0].keys() - descriptors - {"measured", "stable"}:
         values = table[name].to_numpy()
         np.testing.assert_array_equal(np.array([row[name] for row in rows]).astype(values.dtype), values, err_msg=name)
     found = np.array([[row[f"d{k}"] for k in range(6)] for row in rows]).astype(np.float32)

@@ -56,12 +56,13 @@ def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> N
         assert channels[0] == channels[1]
 
 
-def test_the_markers_are_the_confirmed_lines(node: dict[str, Any]) -> None:
+def test_the_markers_are_the_stable_lines(node: dict[str, Any]) -> None:
     tracks = clip_results()[6].tracks
     (marker,) = node["markers_of"](tracks).markers
     points = np.array([(point.x, point.y, point.z) for point in marker.points], np.float32)
-    assert tracks.segments_normalized is not None
-    np.testing.assert_array_equal(points[:, :2], tracks.segments_normalized[tracks.confirmed].reshape(-1, 2))
+    assert tracks.observed_normalized is not None
+    np.testing.assert_array_equal(points[:, :2], tracks.observed_normalized[tracks.stable].reshape(-1, 2))
+    assert len(points) > 20
     assert (points[:, 2] == 1).all()
 
 
