@@ -16,6 +16,7 @@ from frontend.tracking.config import TrackerConfig
 from frontend.tracking.fusion import clip, fuse, line_covariances, predicted_covariances, with_bias
 from frontend.tracking.motion import WorkingImage, predict_segments, working_image
 from frontend.tracking.overlap import LineFeatures, absorbed, overlap_votes, parents
+from frontend.tracking.selection import Selection
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
@@ -38,6 +39,7 @@ class LineTracker:
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
+        self._selection = Selection(self.config.max_lines)
         self._next_id = 0
         self._tracks: TrackTable | None = None
         self._image: WorkingImage | None = None
@@ -72,7 +74,7 @@ class LineTracker:
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
-        return self._result(frame, lines, tracks, line_of, ended, reset)
+        return self._selection.of(self._result(frame, lines, tracks, line_of, ended, reset), size)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:

@@ -89,6 +89,7 @@ class LineTracks:
         stamp_ns: sensor time, nanoseconds.
         camera: the camera, where known.
         reset: why all earlier tracks ended before this frame, or None.
+        left_out: how many more were seen, beyond `TrackerConfig.max_lines`; in no file.
     """
 
     frame_index: int
@@ -150,6 +151,7 @@ class LineTracks:
     )
     camera: CameraModel | None = None
     reset: str | None = None
+    left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)

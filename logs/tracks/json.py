@@ -71,7 +71,7 @@ def assembled(
     Raises:
         ValueError: an array is missing, or they do not fit each other.
     """
-    complete = {}
+    complete: dict[str, Any] = {}
     counts = {"seen": arrays.get("ids", ()), "lost": arrays.get("lost_ids", ()), "ended": arrays.get("ended_ids", ())}
     for field in FIELDS:
         count = len(counts[field.rows])
