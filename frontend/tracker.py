@@ -22,6 +22,7 @@ from frontend.tracking.guided import measure
 from frontend.tracking.measurement import MEASURED, line_covariances, with_bias
 from frontend.tracking.overlap import LineFeatures, absorbed, covered, overlap_votes, parents
 from frontend.tracking.prediction import camera_of, focal_of, predicted
+from frontend.tracking.selection import Selection
 from frontend.tracking.state import innovations, line_part, new_covariances, slide, update
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
@@ -67,6 +68,7 @@ class LineTracker:
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
+        self._selection = Selection(self.config.max_lines)
         self._next_id = 0
         self._tracks: TrackTable | None = None
         self._image: WorkingImage | None = None
@@ -111,7 +113,8 @@ class LineTracker:
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
-        return self._confirmations.add(self._result(frame, seen, tracks, line_of, ended, reset))
+        found = self._result(frame, seen, tracks, line_of, ended, reset)
+        return self._confirmations.add(self._selection.of(found, size))
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:

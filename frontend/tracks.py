@@ -91,6 +91,7 @@ class LineTracks:
         camera: the camera, where known.
         reset: why all earlier tracks ended before this frame, or None.
         earlier: frames, and their rows, that `history` is made of.
+        left_out: how many more were seen, beyond `TrackerConfig.max_lines`; in no file.
     """
 
     frame_index: int
@@ -153,6 +154,7 @@ class LineTracks:
     camera: CameraModel | None = None
     reset: str | None = None
     earlier: tuple[tuple[LineTracks, NDArray[np.intp]], ...] = field(default=(), compare=False, repr=False)
+    left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)

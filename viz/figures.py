@@ -13,7 +13,13 @@ from frontend.tracks import LineTracks
 from viz.lines import QUIET
 
 YEAR_2000_NS = 946_684_800_000_000_000  # stamps from then on are dates
-COUNTS = {"lines": QUIET, "tracks": (150, 150, 255), "confirmed": (80, 220, 100), "lost": (150, 150, 150)}
+COUNTS = {
+    "lines": QUIET,
+    "tracks": (150, 150, 255),
+    "confirmed": (80, 220, 100),
+    "measured": (220, 120, 220),
+    "lost": (150, 150, 150),
+}
 
 
 class Clock:
@@ -84,6 +90,7 @@ def track_figures(tracks: LineTracks) -> dict[str, float]:
     return {
         "counts/tracks": len(tracks),
         "counts/confirmed": len(ages),
+        "counts/measured": tracks.measured.sum(),
         "counts/lost": len(tracks.lost_ids),
         "track_length": median(ages),
     }

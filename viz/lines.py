@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 import rerun as rr
@@ -16,6 +18,7 @@ from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
 FRAGMENT_TONE = 0.55  # how dark a piece of a broken line is beside whole ones
 LOST_TONE, LOST_GREY = 0.2, 120  # how much of its hue a lost line keeps, on which grey
 CONFIRMED_RADIUS, TENTATIVE_RADIUS, LOST_RADIUS, TAIL_RADIUS = 1.5, 0.75, 0.4, 0.6  # points of the screen
+LOST_FRAMES = 3  # lost lines are drawn for so many frames: where one should be is a guess, which soon is none
 TAIL_FRAMES, TAIL_STEP = 12, 3
 QUIET = (255, 196, 64)  # segments, which are not yet part of any track, RGB
 TAIL_TONE = 0.75  # how dark a tail is beside its line
@@ -55,19 +58,25 @@ class Tails:
         return rows, points[rows][known[rows]], known[rows].sum(axis=1)
 
 
-def log_tracks(stream: rr.RecordingStream, tracks: LineTracks, tails: Tails | None = None) -> None:
+def log_tracks(
+    stream: rr.RecordingStream, tracks: LineTracks, tails: Tails | None = None, *, show_lost: bool = False
+) -> None:
     """Log one frame's tracks at the stream's present time.
 
     `/camera/tracks`: confirmed lines thick, tentative ones pale and thin, pieces of broken lines darker, each with its
-    `track_id`. `/camera/tracks/lost`: where lines that are looked for should be, grey. `/camera/tails`: where confirmed
-    lines were; only with `tails`, those of this stream.
+    `track_id` and whether it was `measured` and not detected. `/camera/tracks/lost`: where lines should be that were
+    lost in the last `LOST_FRAMES` frames, or with `show_lost` all that are looked for, grey. `/camera/tails`: where
+    confirmed lines were; only with `tails`, those of this stream.
     """
     colours = track_colours(tracks.ids, tracks.confirmed)
     fragments = tracks.fragment_of >= 0
     colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-    log_lines(stream, "/camera/tracks", tracks.segments_px, colours, state_radii(tracks.confirmed), tracks.ids)
-    grey = (track_colours(tracks.lost_ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
-    log_lines(stream, "/camera/tracks/lost", tracks.lost_segments_px, grey, LOST_RADIUS, tracks.lost_ids)
+    radii = state_radii(tracks.confirmed)
+    log_lines(stream, "/camera/tracks", tracks.segments_px, colours, radii, tracks.ids, measured=tracks.measured)
+    shown = show_lost | (tracks.lost_frames <= LOST_FRAMES)
+    lost = tracks.lost_ids[shown]
+    grey = (track_colours(lost) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
+    log_lines(stream, "/camera/tracks/lost", tracks.lost_segments_px[shown], grey, LOST_RADIUS, lost)
     if tails is not None:
         rows, points, lengths = tails.add(tracks)
         dark = (TAIL_TONE * track_colours(tracks.ids[rows])).astype(np.uint8)
@@ -81,10 +90,11 @@ def log_lines(
     colours: NDArray[np.uint8],
     radii: NDArray[np.float64] | float,
     ids: NDArray[np.int64] | None = None,
+    **values: Any,
 ) -> None:
-    """Log (N, 2, 2) lines, px, with (N, 3) or (1, 3) RGB, (N,) radii or one, and (N,) ids of their tracks."""
+    """Log (N, 2, 2) lines, px, with (N, 3) or (1, 3) RGB, (N,) radii or one, (N,) ids of their tracks and more."""
     strips = _strips(strips_2d(segments), colours, radii)
-    stream.log(entity, *([strips] if ids is None else [strips, rr.AnyValues(track_id=ids)]))
+    stream.log(entity, *([strips] if ids is None else [strips, rr.AnyValues(track_id=ids, **values)]))
 
 
 def state_radii(confirmed: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -126,6 +126,8 @@ class Recording:
         last = -1
         for chunk in self._chunks(entity) if entity in self._paths else ():
             rows = chunk.to_record_batch()
+            if not any(":" in name for name in rows.schema.names):
+                continue  # ids and the like, which `rerun rrd optimize` may put into chunks of their own
             frames = rows.column("frame").to_numpy()
             for k in np.argsort(frames, kind="stable").tolist():
                 if frames[k] < last:

@@ -93,8 +93,14 @@ def recording(
         yield stream
 
 
-def replay(path: Path, save: Path | None, connect: str | None) -> int:
+def replay(path: Path, save: Path | None, connect: str | None, *, show_lost: bool = False) -> int:
     """Record a file with tracks, as far as it can be read; returns how many frames it has.
+
+    Args:
+        path: the file.
+        save: .rrd file to write.
+        connect: address of a running viewer, `HOST:PORT`.
+        show_lost: see `RerunSink`.
 
     Raises:
         InputError: the file cannot be read, the recording cannot be written, or no window can open.
@@ -112,7 +118,7 @@ def replay(path: Path, save: Path | None, connect: str | None) -> int:
                 if not count and tracks.camera is not None:
                     stream.log("/camera", pinhole(tracks.camera), static=True)
                 log_image(stream, images.at(tracks.stamp_ns))
-                log_tracks(stream, tracks, tails)
+                log_tracks(stream, tracks, tails, show_lost=show_lost)
                 if tracks.reset is not None:
                     stream.log("/log", rr.TextLog(f"all tracks ended: {tracks.reset}", level="WARN"))
                 figures.add(tracks.frame_index, tracks.stamp_ns, track_figures(tracks))
@@ -122,7 +128,7 @@ def replay(path: Path, save: Path | None, connect: str | None) -> int:
 
 def run(options: argparse.Namespace) -> None:
     """Do what the flags ask for."""
-    count = replay(options.file, options.save, options.connect)
+    count = replay(options.file, options.save, options.connect, show_lost=options.show_lost)
     if options.save is not None:
         print(f"saved {options.save} with {count} frames; look at it with: rerun {options.save}")
 
@@ -133,6 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help=".mcap, .parquet or .parquet.unfinished file with tracks")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record into this file")
     parser.add_argument("--connect", metavar="HOST:PORT", help="show in a viewer that runs already")
+    parser.add_argument("--show-lost", action="store_true", help="draw lost lines for as long as they are looked for")
     return exit_code(run, parser.parse_args(arguments))
 
 

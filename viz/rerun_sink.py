@@ -50,6 +50,7 @@ class RerunSink:
         every: log every so many frames; resets and warnings are always logged.
         descriptor_every: log the float descriptors every so many frames; 0 is never.
         jpeg_quality: of all pictures, 1 to 100.
+        show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
 
     Raises:
         InputError: the file cannot be written.
@@ -69,6 +70,7 @@ class RerunSink:
         every: int = 1,
         descriptor_every: int = 30,
         jpeg_quality: int = 80,
+        show_lost: bool = False,
     ) -> None:
         if save is None and connect is None:
             raise ConfigError("the Rerun sink has nowhere to log to: give it a file to save or a viewer to connect to")
@@ -81,6 +83,7 @@ class RerunSink:
         self._every = every
         self._descriptor_every = descriptor_every if self._stages else 0
         self._jpeg_quality = jpeg_quality
+        self._show_lost = show_lost
         self._frames = 0
         self._closed = False
         self._has_camera = False
@@ -199,7 +202,7 @@ class RerunSink:
             log_stages(self._stream, result, self._jpeg_quality)
         if descriptor:
             log_descriptors(self._stream, trace)
-        log_tracks(self._stream, result.tracks, self._tails)
+        log_tracks(self._stream, result.tracks, self._tails, show_lost=self._show_lost)
         times = {f"time_ms/{stage}": ms for stage, ms in result.stage_ms.items()}
         figures = {"counts/lines": len(trace.lines), **track_figures(result.tracks), **times}
         self._figures.add(frame.index, frame.stamp_ns, figures)

@@ -122,7 +122,8 @@ def log_stages(stream: rr.RecordingStream, result: FrameResult, quality: int) ->
     stream.log("/camera/edges", jpeg(edge_image(trace, STEP), quality))
     stream.log("/camera/orientation", segmentation(orientation_classes(trace, STEP)))
     classes = np.zeros(len(trace.lines), np.uint16)
-    classes[tracks.line_indices] = 1 + tracks.ids % CYCLE
+    detected = ~tracks.measured
+    classes[tracks.line_indices[detected]] = 1 + tracks.ids[detected] % CYCLE
     regions = region_image(trace, classes, STEP)
     regions[0, 0] = LARGEST
     stream.log("/camera/regions", segmentation(regions))

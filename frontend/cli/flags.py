@@ -30,6 +30,7 @@ FLAGS = {
         "--jpeg-quality Q": "recording.jpeg_quality",
         "--log-every N": "recording.every",
         "--log-descriptor-every K": "recording.descriptor_every",
+        "--show-lost": "recording.show_lost",
     },
     "frames": {
         "--start S": "input.start",
@@ -42,6 +43,7 @@ FLAGS = {
     "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
     "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
     "detector": {"--preset": "preset", "--runtime": "runtime"},
+    "tracker": {"--max-lines N": "tracker.max_lines"},
     "settings": {"--serial": "serial"},
 }
 """Flags by group: the setting that each stands for, whose field in `settings` says its type and its help."""
@@ -83,7 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """The flags that `settings_of` reads, for every command that runs the frontend."""
-    for title in ("recording", "frames", "logs", "camera", "detector", "settings"):
+    for title in ("recording", "frames", "logs", "camera", "detector", "tracker", "settings"):
         _add_flags(parser, title)
 
 

@@ -63,6 +63,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     every: Annotated[int, Meta(ge=1, description="record every N-th frame")] = 1
     descriptor_every: Annotated[int, Meta(ge=0, description="record the descriptors every K frames, 0 never")] = 30
     blueprint: Annotated[Literal["minimal", "full"], Meta(description="how much the viewer shows")] = "full"
+    show_lost: Annotated[bool, Meta(description="draw lost lines for as long as they are looked for")] = False
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

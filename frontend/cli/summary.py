@@ -27,8 +27,12 @@ class Summary:
         stage_ms: median milliseconds per stage.
         latency_ms: median milliseconds from when a frame had been read to when its tracks were known.
         lines_per_frame: mean number of detected lines.
-        live_tracks_per_frame: mean number of tracks seen, tentative ones included.
-        tracks: number of tracks that were confirmed.
+        live_tracks_per_frame: mean number of tracks handed out as seen, tentative ones included.
+        stable_tracks_per_frame: of these, the stable ones.
+        measured_per_frame: of these, the ones that were measured and not detected.
+        measured_share: the same, as a share of all observations.
+        left_out_per_frame: mean number of tracks seen beyond `max_lines`.
+        tracks: number of tracks handed out that were confirmed.
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
         dropped_frames: frames of a live source that there was no time for.
@@ -41,6 +45,10 @@ class Summary:
     latency_ms: float
     lines_per_frame: float
     live_tracks_per_frame: float
+    stable_tracks_per_frame: float
+    measured_per_frame: float
+    measured_share: float
+    left_out_per_frame: float
     tracks: int
     track_length_median: float
     skipped_frames: int
@@ -64,6 +72,9 @@ class Summary:
             "latency, median ms": f"{self.latency_ms:.2f}",
             "lines per frame": f"{self.lines_per_frame:.1f}",
             "live tracks per frame": f"{self.live_tracks_per_frame:.1f}",
+            "stable tracks per frame": f"{self.stable_tracks_per_frame:.1f}",
+            "measured per frame": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
+            **({"left out per frame": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
             "tracks": f"{self.tracks}",
             "median track length, frames": f"{self.track_length_median:g}",
         }
@@ -81,10 +92,12 @@ class SummaryCounter:
         self.started = False
         self._confirm_hits = confirm_hits
         self._begin_s = self._latest_s = time.perf_counter()
-        self._frames = self._lines = self._live = 0
+        self._frames = 0
+        self._counts = np.zeros(5)  # of lines, tracks, stable ones, measured ones, and ones that were left out
         self._stages: dict[str, deque[float]] = {}
         self._latencies: deque[float] = deque(maxlen=WINDOW)
-        self._lengths: Counter[int] = Counter()
+        self._hits: dict[int, int] = {}  # of the tracks that have not ended
+        self._lengths: Counter[int] = Counter()  # of those that have
 
     def start(self) -> None:
         """Start the clock: all before was preparation."""
@@ -95,29 +108,34 @@ class SummaryCounter:
         """Count one frame, and the milliseconds that the sinks took for it."""
         self._latest_s = time.perf_counter()  # not the time of the summary: a viewer that is gone blocks the closing
         self._frames += 1
-        self._lines += len(result.trace.lines)
-        self._live += len(result.tracks)
+        tracks = result.tracks
+        kinds = tracks.stable.sum(), tracks.measured.sum()
+        self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out)
         self._latencies.append(result.latency_ms)
         for stage, spent in {**result.stage_ms, "sinks": sinks_ms}.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
-        # every observation moves its track from length h - 1 to length h, so no track needs to be remembered
-        for hits, count in Counter(result.tracks.hits.tolist()).items():
-            self._lengths[hits] += count
-            self._lengths[hits - 1] -= count
+        self._hits.update(zip(tracks.ids.tolist(), tracks.hits.tolist(), strict=True))
+        self._lengths.update(self._hits.pop(track, 0) for track in tracks.ended_ids.tolist())
 
     def summary(self, source: Source) -> Summary:
         """The figures so far, with what the source counted."""
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
-        lengths = {hits: n for hits, n in self._lengths.items() if hits >= self._confirm_hits and n > 0}
+        lines, live, stable, measured, left_out = (self._counts / frames).tolist()
+        of_all = self._lengths + Counter(self._hits.values())
+        lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
         return Summary(
             frames=self._frames,
             fps=round(self._frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
             stage_ms={stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()},
             latency_ms=round(float(np.median(self._latencies)), 3) if self._latencies else 0.0,
-            lines_per_frame=round(self._lines / frames, 2),
-            live_tracks_per_frame=round(self._live / frames, 2),
+            lines_per_frame=round(lines, 2),
+            live_tracks_per_frame=round(live, 2),
+            stable_tracks_per_frame=round(stable, 2),
+            measured_per_frame=round(measured, 2),
+            measured_share=round(measured / live, 4) if live else 0.0,
+            left_out_per_frame=round(left_out, 2),
             tracks=sum(lengths.values()),
             track_length_median=float(np.median(sizes)),
             skipped_frames=source.skipped,

@@ -29,6 +29,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         min_vote: least vote of a pair, see `overlap`.
         gate: largest squared innovation of a pair, over what its covariance lets expect.
         max_gap_s: a longer gap between two frames ends all tracks, seconds.
+        max_lines: hand out this many tracks per frame, the best ones; 0 is all.
     """
 
     confirm_hits: int = 3
@@ -45,9 +46,10 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     min_vote: Share = 0.1
     gate: float = 16.0
     max_gap_s: float = 1.0
+    max_lines: Annotated[int, Meta(ge=0, description="hand out the N best tracks of each frame, 0 all")] = 0
 
     def __post_init__(self) -> None:
-        if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative) < 0:
-            raise ConfigError("tracker needs confirm_hits >= 1, and max_missed of at least 0")
+        if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.max_lines) < 0:
+            raise ConfigError("tracker needs confirm_hits >= 1, and max_missed and max_lines of at least 0")
         if self.band <= 0 or self.max_band < self.band or self.max_gap_s <= 0:
             raise ConfigError("tracker needs band > 0, max_band >= band and max_gap_s > 0")

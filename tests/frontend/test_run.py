@@ -20,6 +20,7 @@ import pytest
 from airline import __version__
 from frontend.cli.terminal import set_up_logging
 from frontend.cli.wiring import has_display
+from logs import read_tracks
 from tests.helpers.command import EVERY_FRAME, Outcome, command, recorded
 from tests.helpers.ports import free_port
 from tests.helpers.viewer import RERUN, saving_viewer
@@ -81,9 +82,11 @@ def test_table_and_json_hold_the_same_figures(run: Run) -> None:
     assert (figures["frames"], figures["skipped_frames"]) == (FRAMES, 0)
     shown = dict(re.findall(r"([a-z][a-z/ ,]*[a-z]) +\W (\S+) ", run.outcome.out))
     names = ["frames", "fps", "latency_ms", "lines_per_frame", "live_tracks_per_frame", "tracks", "track_length_median"]
+    names += ["stable_tracks_per_frame", "measured_per_frame"]
     expected = [*(figures[name] for name in names), *figures["stage_ms"].values()]
     titles = ["frames", "frames/s", "latency, median ms", "lines per frame", "live tracks per frame", "tracks"]
-    titles += ["median track length, frames", *(f"{stage}, median ms" for stage in STAGES)]
+    titles += ["median track length, frames", "stable tracks per frame", "measured per frame"]
+    titles += [*(f"{stage}, median ms" for stage in STAGES)]
     assert set(shown) == set(titles)
     assert [float(shown[title]) for title in titles] == pytest.approx(expected, abs=0.051)
 
@@ -109,6 +112,18 @@ def test_figures_are_those_of_the_recording(run: Run, entities: dict[str, dict[s
     for stage in STAGES[:-1]:  # the sink cannot record its own time
         spent = [value for (value,) in entities[f"/stats/time_ms/{stage}"]["Scalars:scalars"]]
         assert run.figures["stage_ms"][stage] == pytest.approx(statistics.median(spent), abs=0.001)
+
+
+def test_the_best_lines_alone_and_how_many_were_left_out(run: Run, clip: Path, tmp_path: Path) -> None:
+    flags = ("--max-lines", 10, "--out", tmp_path / "best.parquet", "--summary", tmp_path / "run.json")
+    outcome = command(clip, "--headless", *flags)
+    figures = json.loads((tmp_path / "run.json").read_text())
+    assert [len(tracks) for tracks in read_tracks(tmp_path / "best.parquet")] == [10] * FRAMES
+    assert figures["live_tracks_per_frame"] == 10
+    assert figures["left_out_per_frame"] == pytest.approx(run.figures["live_tracks_per_frame"] - 10, abs=0.01)
+    assert re.search(rf"left out per frame +\W {figures['left_out_per_frame']:.1f} ", outcome.out)
+    assert run.figures["left_out_per_frame"] == 0
+    assert "left out" not in run.outcome.out
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import statistics
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,24 +15,18 @@ from hypothesis import strategies as st
 
 from frontend.cli.summary import WINDOW, SummaryCounter
 from frontend.protocols import Source
+from frontend.tracks import LineTracks
+from tests.helpers.made_tracks import blank_tracks
 
 
-class Tracks:
-    def __init__(self, hits: list[int]) -> None:
-        self.hits = np.array(hits, np.int32)
-
-    def __len__(self) -> int:
-        return len(self.hits)
-
-
-def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> Any:
-    """What the counter looks at in one frame's result: as many tracks as hits, and some lines."""
-    trace = SimpleNamespace(lines=range(lines))
-    return SimpleNamespace(trace=trace, tracks=Tracks(hits), stage_ms=stage_ms, latency_ms=1.0)
+def result(tracks: LineTracks, lines: int, stage_ms: dict[str, float]) -> Any:
+    """What the counter looks at in one frame's result: the tracks, and some lines."""
+    return SimpleNamespace(trace=SimpleNamespace(lines=range(lines)), tracks=tracks, stage_ms=stage_ms, latency_ms=1.0)
 
 
 @given(
-    seen=st.lists(st.lists(st.booleans(), min_size=12, max_size=12), max_size=30),
+    # of each track and frame: not seen, seen and left out, or handed out: as detected, measured, stable, or both
+    seen=st.lists(st.lists(st.sampled_from(["", "left", "-", "m", "s", "ms"]), min_size=12, max_size=12), max_size=30),
     more_lines=st.lists(st.integers(0, 5), min_size=12, max_size=12),
     times=st.lists(st.floats(0, 1000), min_size=12, max_size=12),
     frames=st.integers(1, 12),
@@ -39,25 +34,35 @@ def result(hits: list[int], lines: int, stage_ms: dict[str, float]) -> Any:
     skipped=st.integers(0, 3),
 )
 def test_figures(seen, more_lines, times, frames, confirm_hits, skipped):
-    """`seen` says of each track in which frames it was seen."""
     counter = SummaryCounter(confirm_hits)
-    live, lines = [], []
+    live, lines, left_out = [], [], []
     for k in range(frames):
-        hits = [sum(track[: k + 1]) for track in seen if track[k]]
-        live.append(len(hits))
+        out = [i for i, track in enumerate(seen) if track[k] in ("-", "m", "s", "ms")]
+        hits = np.array([sum(map(bool, seen[i][: k + 1])) for i in out], np.int32)
+        measured, stable = (np.array([kind in seen[i][k] for i in out], np.bool_) for kind in "ms")
+        ended = np.array([i for i, track in enumerate(seen) if k and not any(track[k:]) and track[k - 1]], np.int64)
+        tracks = blank_tracks(len(out), ids=np.array(out, np.int64), hits=hits, measured=measured, stable=stable)
+        left_out.append(sum(track[k] == "left" for track in seen))
+        live.append(tracks)
         lines.append(len(hits) + more_lines[k])
-        counter.add(result(hits, lines[-1], {"edges": times[k]}), sinks_ms=2 * times[k])
+        ending = replace(tracks, ended_ids=ended, left_out=left_out[-1])
+        counter.add(result(ending, lines[-1], {"edges": times[k]}), sinks_ms=2 * times[k])
     source = Source()
     source.skipped = skipped
     summary = counter.summary(source)
 
-    lengths = [sum(track[:frames]) for track in seen]
-    confirmed = [length for length in lengths if length >= confirm_hits]
+    lengths = {i: hits for tracks in live for i, hits in zip(tracks.ids.tolist(), tracks.hits.tolist(), strict=True)}
+    confirmed = [length for length in lengths.values() if length >= confirm_hits]
     assert (summary.frames, summary.skipped_frames) == (frames, skipped)
     assert summary.tracks == len(confirmed)
     assert summary.track_length_median == (statistics.median(confirmed) if confirmed else 0)
     assert summary.lines_per_frame == pytest.approx(statistics.mean(lines), abs=0.00501)
-    assert summary.live_tracks_per_frame == pytest.approx(statistics.mean(live), abs=0.00501)
+    observations, measured = sum(map(len, live)), sum(tracks.measured.sum() for tracks in live)
+    assert summary.live_tracks_per_frame == pytest.approx(observations / frames, abs=0.00501)
+    assert summary.stable_tracks_per_frame == pytest.approx(sum(t.stable.sum() for t in live) / frames, abs=0.00501)
+    assert summary.measured_per_frame == pytest.approx(measured / frames, abs=0.00501)
+    assert summary.measured_share == pytest.approx(measured / max(observations, 1), abs=0.0000501)
+    assert summary.left_out_per_frame == pytest.approx(statistics.mean(left_out), abs=0.00501)
     median = statistics.median(times[:frames])
     assert summary.stage_ms == pytest.approx({"edges": median, "sinks": 2 * median}, abs=0.0005)
     assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
@@ -75,7 +80,7 @@ def test_memory_does_not_grow_with_the_run() -> None:
     counter = SummaryCounter(3)
     rng = np.random.default_rng(0)
     times = [1000.0] * WINDOW + rng.uniform(0, 50, WINDOW).tolist()
-    one = result([], 0, {})
+    one = result(blank_tracks(0), 0, {})
     for spent in times:
         counter.add(one, spent)
     assert counter.summary(Source()).stage_ms["sinks"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)

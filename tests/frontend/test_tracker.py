@@ -257,7 +257,7 @@ def test_covariances_fit_the_errors_on_rendered_lines():
     assert 0.4 < np.percentile(normalised, 68.3) < 1.6, "one standard deviation holds about 68 %"
 
 
-@pytest.mark.parametrize("settings", [{"band": 0}, {"confirm_hits": 0}, {"max_gap_s": 0}])
+@pytest.mark.parametrize("settings", [{"band": 0}, {"confirm_hits": 0}, {"max_gap_s": 0}, {"max_lines": -1}])
 def test_refuses_impossible_settings(settings):
     with pytest.raises(ConfigError, match=next(iter(settings))):
         TrackerConfig(**settings)

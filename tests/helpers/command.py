@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 EVERY_FRAME = {
     *(f"/camera/{name}" for name in ("image", "edges", "orientation", "regions", "segments")),
     *(f"/camera/{name}" for name in ("tracks", "tracks/lost", "tails")),
-    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "lost")),
+    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "measured", "lost")),
     *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "refine", "track")),
     "/stats/track_length",
 }

@@ -20,7 +20,7 @@ SHIFT_PX = 0.5
 
 
 def moved(tracks: LineTracks) -> LineTracks:
-    """Other ids, half a pixel to the side of each line, without every fifth line."""
+    """Other ids, half a pixel to the side of each line, without every fifth line; every second was measured."""
     keep = np.arange(len(tracks)) % 5 != 0
     arrays = {field.name: getattr(tracks, field.name)[keep] for field in FIELDS if field.rows == "seen"}
     across = (arrays["segments_px"][:, 1] - arrays["segments_px"][:, 0])[:, ::-1] * (-1, 1)
@@ -28,6 +28,8 @@ def moved(tracks: LineTracks) -> LineTracks:
     arrays["ids"] = arrays["ids"] + 1000
     arrays["segments_px"] = (arrays["segments_px"] + SHIFT_PX * across[:, None]).astype(np.float32)
     arrays["fragment_of"] = np.full(keep.sum(), -1)
+    arrays["measured"] = arrays["ids"] % 2 > 0
+    arrays["line_indices"] = np.where(arrays["measured"], -1, arrays["line_indices"]).astype(np.int32)
     return replace(tracks, **arrays)
 
 

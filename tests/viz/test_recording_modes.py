@@ -16,7 +16,7 @@ from airline.errors import ConfigError, InputError
 from frontend.colours import CYCLE, track_colours
 from tests.helpers.command import command, recorded, refusal
 from tests.helpers.made_tracks import clip_results
-from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle
+from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle, trace_of
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
@@ -112,7 +112,7 @@ def test_every_fourth_frame_and_all_resets(tmp_path):
 def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
     """Ids 0 and 1 are confirmed, 2 and 3 tentative, 1 and 3 pieces of another line; 7 is lost."""
     result = list(frame_results(5))[-1]
-    more = {"lost_ids": np.array([7]), "lost_segments_px": rectangle(9)[:1]}
+    more = {"lost_ids": np.array([7]), "lost_segments_px": rectangle(9)[:1], "lost_frames": np.array([1])}
     tracks = dataclasses.replace(result.tracks, fragment_of=np.array([-1, 0, -1, 0]), **more)
     rows = record(tmp_path / "run.rrd", [dataclasses.replace(result, tracks=tracks)])
     seen, lost = rows["/camera/tracks"], rows["/camera/tracks/lost"]
@@ -130,6 +130,39 @@ def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
     assert lost["track_id"] == [[7]]
     np.testing.assert_array_equal(np.float32(lost["LineStrips2D:strips"][0]), rectangle(9)[:1] + np.float32(0.5))
     assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[1.0]]
+
+
+@pytest.mark.parametrize(("flags", "shown"), [({}, [5, 7]), ({"show_lost": True}, [5, 6, 7, 8])])
+def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path, flags, shown):
+    (result,) = frame_results(1)
+    frames = np.array([1, 4, 3, 30], np.int32)
+    more = {"lost_ids": np.arange(5, 9), "lost_segments_px": rectangle(9), "lost_frames": frames}
+    rows = record(
+        tmp_path / "run.rrd", [dataclasses.replace(result, tracks=dataclasses.replace(result.tracks, **more))], **flags
+    )
+    lost = rows["/camera/tracks/lost"]
+    assert lost["track_id"] == [shown]
+    drawn = np.float32(lost["LineStrips2D:strips"][0])
+    np.testing.assert_array_equal(drawn, rectangle(9)[np.isin(more["lost_ids"], shown)] + np.float32(0.5))
+    assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[4.0]], "the figures count all"
+
+
+def test_tracks_that_were_measured_say_so_and_have_no_region(tmp_path):
+    """Also in a frame in which no line was detected."""
+    first, second = frame_results(2)
+    measured = np.array([False, True, False, True])
+    some = dataclasses.replace(first.tracks, measured=measured, line_indices=np.array([3, -1, 0, -1], np.int32))
+    none = dataclasses.replace(second.tracks, measured=np.ones(4, bool), line_indices=np.full(4, -1, np.int32))
+    blank = dataclasses.replace(second, trace=trace_of(rectangle(1)[:0]), tracks=none)
+    labelled = dataclasses.replace(first.trace, labels=np.arange(len(first.trace.pixels)).astype(np.int32) % 4)
+    rows = record(tmp_path / "run.rrd", [dataclasses.replace(first, trace=labelled, tracks=some), blank])
+    assert rows["/camera/tracks"]["measured"] == [measured.tolist(), [True] * 4]
+    assert rows["/camera/tracks"]["track_id"] == [[0, 1, 2, 3]] * 2
+    assert rows["/stats/counts/measured"]["Scalars:scalars"] == [[2.0], [4.0]]
+    classes = [
+        np.array(row[0], np.uint8).view(np.uint16) for row in rows["/camera/regions"]["SegmentationImage:buffer"] if row
+    ]
+    assert [set(picture[1:].tolist()) for picture in classes] == [{0, 1, 3}, {0}]
 
 
 def test_tails_end_at_the_lines_and_lead_where_they_were(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ import pytest
 from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.tables import ParquetTrackSink
 from tests.helpers.command import command, recorded, refusal
-from tests.helpers.made_tracks import clip_results, write_tracks
+from tests.helpers.made_tracks import clip_results, made_tracks, write_all, write_tracks
 from tests.helpers.ports import free_port
 from tests.helpers.viewer import names_of_views, saving_viewer
 from viz.replay import main
@@ -59,6 +60,17 @@ def test_numbers_are_those_of_the_file(files, tmp_path, name):
         shown = cv2.imdecode(np.array(images["EncodedImage:blob"][3][0], np.uint8), cv2.IMREAD_COLOR)
         assert np.abs(shown.astype(int) - clip_results()[3].frame.image).mean() < 6
     assert names_of_views(tmp_path / "out.rrd") == {"Tracks", "Lines per frame", "Log"}
+
+
+def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path):
+    tracks = made_tracks(0, 0, np.arange(9), np.random.default_rng(0), lost=4)
+    tracks = replace(tracks, lost_frames=np.array([1, 3, 4, 30], np.int32))
+    write_all(ParquetTrackSink(tmp_path / "lost.parquet"), [tracks])
+    for flags, count in (((), 2), (("--show-lost",), 4)):
+        assert command(tmp_path / "lost.parquet", "--save", tmp_path / "out.rrd", *flags, main=main).code == 0
+        rows = recorded(tmp_path / "out.rrd")
+        assert rows["/camera/tracks/lost"]["track_id"] == [tracks.lost_ids[:count].tolist()]
+        assert rows["/camera/tracks"]["measured"] == [tracks.measured.tolist()]
 
 
 def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(tmp_path, monkeypatch, caplog):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,8 +15,9 @@ import rerun as rr
 
 from airline.errors import InputError
 from frontend.colours import track_colours
+from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, STEP_NS, WIDTH, frame_results, rectangle
-from tests.helpers.viewer import FRAMES, needs_viewer, record, snapshot
+from tests.helpers.viewer import FRAMES, RERUN, needs_viewer, record, snapshot
 from viz.lines import log_tracks
 from viz.overlay import write_film
 from viz.recording import BACKGROUND, Recording
@@ -103,6 +105,16 @@ def test_images_in_every_form(tmp_path, mode, shape):
     assert len(shown) == FRAMES
     for image, expected in zip(shown, images, strict=True):
         assert np.abs(image.astype(int) - expected.max()).max() < 6
+
+
+@pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
+def test_an_optimized_recording_is_drawn_the_same(tmp_path):
+    """There lines and what else is known of them may be in chunks of their own."""
+    run, optimized = tmp_path / "run.rrd", tmp_path / "optimized.rrd"
+    record(run, clip_results())
+    subprocess.run([RERUN, "rrd", "optimize", run, "-o", optimized], check=True, capture_output=True)
+    for frame in (2, None):
+        np.testing.assert_array_equal(drawn(optimized, frame), drawn(run, frame))
 
 
 def film_of(path: Path) -> tuple[list[np.ndarray], float]:

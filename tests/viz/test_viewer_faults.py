@@ -45,7 +45,7 @@ def mute_port() -> Iterator[int]:
 
 
 def frames_in(path: Path) -> list[int]:
-    return recorded(path)["/camera/tracks"]["frame"]
+    return sorted(set(recorded(path)["/camera/tracks"]["frame"]))  # once, where lines and their ids are apart
 
 
 def warnings_in(caplog: pytest.LogCaptureFixture) -> list[str]:

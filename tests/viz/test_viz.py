@@ -79,6 +79,7 @@ def test_statistics(entities):
 
     assert figures("counts/lines") == figures("counts/tracks") == [4] * FRAMES
     assert figures("counts/confirmed") == [0, 0] + [2] * (FRAMES - 2)
+    assert figures("counts/measured") == [0] * FRAMES
     assert figures("track_length") == [0, 0, *range(2, FRAMES)]
     assert figures("time_ms/edges") == [5.0 + k for k in range(FRAMES)]
 
