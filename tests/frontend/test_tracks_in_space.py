@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from airline.errors import InputError
+from airline.scenes import RenderedClip
 from airline.scenes.camera import rotation
 from frontend.evaluation.consistency import consistency
 from frontend.evaluation.observations import Observations, collect
+from frontend.evaluation.rendered import SceneClip
 from frontend.evaluation.space import distances, image_lines, parallax, triangulate
 from frontend.evaluation.strips import CELL, GAP, LEFT, draw_strips, fitted, write_strips
 from tests.helpers.made_tracks import blank_tracks
@@ -117,6 +119,21 @@ def test_consistency() -> None:
     assert (short["tracks"], short["share"], short["observations_per_frame"]) == (0, None, 0)
     fused = consistency(rows.take(rows.ids == 5), GOOD, Walk(WALK), FRAMES)
     assert fused["consistent"] == 1, "the segments that are given count"
+
+
+def test_true_lines_of_a_rendered_clip_are_consistent() -> None:
+    clip = SceneClip("small", (RenderedClip("indoor", "handheld", 3, frames=8, size=(320, 240)),))
+    tracks: dict[int, list[Array]] = {}
+    for _, truth in clip:
+        ids, pieces = np.unique(truth.ids, return_counts=True)
+        for line in ids[pieces == 1].tolist():
+            tracks.setdefault(line, []).append(truth.segments_px[truth.ids == line][0].astype(np.float64))
+    whole = {line: np.array(segments) for line, segments in sorted(tracks.items()) if len(segments) == len(clip)}
+    rows = rows_of(whole)
+    figures = consistency(rows, rows.segments_px, clip, len(clip))
+    assert figures["tracks"] > 20
+    assert figures["share"] == 1
+    assert (figures["rms_across_px"] or 0) < 0.01
 
 
 def test_a_camera_that_stands_still_sees_no_parallax() -> None:
