@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from airline.image import to_uint8
 from airline.lines import LineSet
-from airline.stages.refine import ImageRefiner
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.history import Confirmations
@@ -23,7 +22,7 @@ from frontend.tracking.measurement import MEASURED, line_covariances, with_bias
 from frontend.tracking.overlap import LineFeatures, absorbed, covered, overlap_votes, parents
 from frontend.tracking.prediction import camera_of, focal_of, predicted
 from frontend.tracking.selection import Selection
-from frontend.tracking.state import innovations, line_part, new_covariances, slide, update
+from frontend.tracking.state import innovations, line_part, new_covariances, slide, update, usual_extents
 from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
@@ -76,7 +75,6 @@ class LineTracker:
         self._stamp_ns = 0
         self._motion = Motion()
         self._noise = 1.0
-        self._refiner = ImageRefiner()
         self._confirmations = Confirmations()
 
     def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
@@ -167,8 +165,6 @@ class LineTracker:
         alone = tracks.take(rows)
         bands = np.minimum(1.0 + 2 * _spread(alone), MAX_GUIDED).astype(np.float32)
         found = measure(edges, alone.segments, bands)
-        refined = self._refiner.refine(LineSet(found.segments, found.support, alone.descriptors), gray).segments
-        found = replace(found, segments=refined)
         long = np.linalg.norm(found.segments[:, 1] - found.segments[:, 0], axis=1)
         good = (found.support >= self.config.min_support) & (long >= np.maximum(8, 0.5 * lengths[rows]))
         profiles = side_profiles(gray, found.segments)
@@ -236,8 +232,8 @@ class LineTracker:
             here.segments.astype(np.float64), here.depths.astype(np.float64), here.covariances.astype(np.float64), offsets, spread
         )
         ends = np.concatenate([here.ends[:, :, 1:], _along(segments, observed)[:, :, None]], axis=2)
-        low, high = np.nanmedian(ends, axis=2).T if len(ends) else np.zeros((2, 0))
-        segments, depths, covariances = slide(segments, depths, covariances, low.astype(np.float64), high.astype(np.float64))
+        low, high = np.ascontiguousarray(usual_extents(ends).T)
+        segments, depths, covariances = slide(segments, depths, covariances, low, high)
         ends = (ends - low[:, None, None]) / (high - low)[:, None, None]
         filtered = {
             "segments": segments.astype(np.float32),

@@ -121,9 +121,7 @@ def _votes(  # type: ignore[no-untyped-def]  # shapes and dtypes as in `LineFeat
     min_agreement,
 ):
     votes = np.zeros((len(tracks), len(lines)), np.float32)
-    half = np.float32(0.5)
-    x, y = half * (lines[:, 0, 0] + lines[:, 1, 0]), half * (lines[:, 0, 1] + lines[:, 1, 1])
-    lengths = np.hypot(lines[:, 1, 0] - lines[:, 0, 0], lines[:, 1, 1] - lines[:, 0, 1])
+    x, y, lengths = middles_and_lengths(lines)
     width = profiles.shape[1]
     near = np.empty(len(lines), np.int64)
     for i in range(len(tracks)):
@@ -151,6 +149,14 @@ def _votes(  # type: ignore[no-untyped-def]  # shapes and dtypes as in `LineFeat
             together = cover * (1 - distance / band)
             votes[i, j] = together**2 * agreement * 0.5 * (1 + alike)
     return votes
+
+
+@njit()
+def middles_and_lengths(lines):  # type: ignore[no-untyped-def]
+    """x and y of the middles of (N, 2, 2) segments, and their lengths, as `lines_near` takes them."""
+    half = np.float32(0.5)
+    x, y = half * (lines[:, 0, 0] + lines[:, 1, 0]), half * (lines[:, 0, 1] + lines[:, 1, 1])
+    return x, y, np.hypot(lines[:, 1, 0] - lines[:, 0, 0], lines[:, 1, 1] - lines[:, 0, 1])
 
 
 @njit()
@@ -188,9 +194,7 @@ def parents(seen: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np
         (M,) int64 row of the track, or -1.
     """
     rows = np.full(len(seen), -1, np.int64)
-    half = np.float32(0.5)
-    x, y = half * (whole[:, 0, 0] + whole[:, 1, 0]), half * (whole[:, 0, 1] + whole[:, 1, 1])
-    lengths = np.hypot(whole[:, 1, 0] - whole[:, 0, 0], whole[:, 1, 1] - whole[:, 0, 1])
+    x, y, lengths = middles_and_lengths(whole)
     near = np.empty(len(whole), np.int64)
     for m in range(len(seen)):
         piece, nearest = seen[m], MAX_DISTANCE
@@ -243,13 +247,19 @@ def covered(found: NDArray[np.float32], lines: NDArray[np.float32]) -> NDArray[n
         (M,) mask.
     """
     mask = np.zeros(len(found), np.bool_)
+    everything = np.concatenate((lines, found))
+    x, y, lengths = middles_and_lengths(everything)
+    near = np.empty(len(everything), np.int64)
     for m in range(len(found)):
-        length = np.hypot(found[m, 1, 0] - found[m, 0, 0], found[m, 1, 1] - found[m, 0, 1])
-        for n in range(len(lines) + m):
+        length = lengths[len(lines) + m]
+        count = lines_near(found[m], length, MAX_DISTANCE, x, y, lengths, np.sqrt(1 - MIN_COS**2), near)
+        for c in range(count):
+            n = near[c]
+            if n >= len(lines) + m:
+                break
             if n >= len(lines) and mask[n - len(lines)]:
                 continue
-            other = lines[n] if n < len(lines) else found[n - len(lines)]
-            shared, at_low, at_high, cosine = beside(other, found[m])
+            shared, at_low, at_high, cosine = beside(everything[n], found[m])
             if shared >= MIN_INSIDE * length and abs(cosine) >= MIN_COS and max(at_low, at_high) < MAX_DISTANCE:
                 mask[m] = True
                 break

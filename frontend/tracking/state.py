@@ -81,8 +81,10 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
             error = focal * (nx * (ends[n, k, 0] - px) + ny * (ends[n, k, 1] - py))
             g = focal * (nx * gx + ny * gy)
             h[2], h[3] = (1 - s) * g, s * g
-            gain[:] = P @ h
-            variance = (gain * h).sum() + flow_noise**2
+            variance = flow_noise**2
+            for row in range(4):
+                gain[row] = P[row, 2] * h[2] + P[row, 3] * h[3]
+            variance += gain[2] * h[2] + gain[3] * h[3]
             if error * error > FLOW_GATE * variance:
                 continue
             gain /= variance
@@ -104,7 +106,7 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
             F[k, k], F[k, 2 + k], F[2 + k, 2 + k] = 1 / z, focal * (nx * gx + ny * gy), 1 / z
         after = nx * (planes[n, 0, 0] + planes[n, 1, 0]) + ny * (planes[n, 0, 1] + planes[n, 1, 1])
         across[n] = 0.5 * focal * abs(after - before)
-        P[:] = F @ P @ F.T
+        _congruence(F, P)
         for k in range(2):
             P[k, k] += (inflation * (STILL + PER_PIXEL * motion)) ** 2
             P[2 + k, 2 + k] += (inflation * DEPTH_WALK) ** 2
@@ -188,21 +190,41 @@ def innovations(segments, covariances, measured, noise):  # type: ignore[no-unty
 def update(segments, depths, covariances, offsets, spread):  # type: ignore[no-untyped-def]
     """States after their measurements (Kalman 1960); `offsets` and `spread` as of `innovations`."""
     segments, depths, covariances = segments.copy(), depths.copy(), covariances.copy()
+    K, moved = np.empty((4, 2), np.float64), np.empty(4, np.float64)
     for n in range(len(segments)):
         P = covariances[n]
         s00, s01, s11 = spread[n, 0, 0], spread[n, 0, 1], spread[n, 1, 1]
         det = s00 * s11 - s01 * s01
-        K = np.empty((4, 2), np.float64)
+        e0, e1 = offsets[n, 0], offsets[n, 1]
         for row in range(4):
             K[row, 0] = (P[row, 0] * s11 - P[row, 1] * s01) / det
             K[row, 1] = (P[row, 1] * s00 - P[row, 0] * s01) / det
-        moved = K @ offsets[n]
+            moved[row] = K[row, 0] * e0 + K[row, 1] * e1
         _shift(segments[n], moved[0], moved[1])
         depths[n, 0] += moved[2]
         depths[n, 1] += moved[3]
-        kept = P - K @ P[:2]
-        P[:] = 0.5 * (kept + kept.T)
+        for row in range(4):
+            for column in range(row + 1):
+                first, second = K[column, 0] * s00 + K[column, 1] * s01, K[column, 0] * s01 + K[column, 1] * s11
+                P[row, column] -= K[row, 0] * first + K[row, 1] * second
+                P[column, row] = P[row, column]
     return segments, depths, covariances
+
+
+@njit(inline="always")
+def _congruence(A, P):  # type: ignore[no-untyped-def]
+    """P becomes A P A^T; small matrices, for which BLAS would take longer."""
+    half = np.empty((4, 4), np.float64)
+    for row in range(4):
+        for column in range(4):
+            half[row, column] = 0.0
+            for k in range(4):
+                half[row, column] += A[row, k] * P[k, column]
+    for row in range(4):
+        for column in range(4):
+            P[row, column] = 0.0
+            for k in range(4):
+                P[row, column] += half[row, k] * A[column, k]
 
 
 @njit()
@@ -220,5 +242,21 @@ def slide(segments, depths, covariances, low, high):  # type: ignore[no-untyped-
             segments[n, 0, axis], segments[n, 1, axis] = (1 - a) * first + a * last, (1 - b) * first + b * last
         first, last = depths[n, 0], depths[n, 1]
         depths[n, 0], depths[n, 1] = (1 - a) * first + a * last, (1 - b) * first + b * last
-        covariances[n] = M @ covariances[n] @ M.T
+        _congruence(M, covariances[n])
     return segments, depths, covariances
+
+
+@njit()
+def usual_extents(ends):  # type: ignore[no-untyped-def]
+    """(N, 2) medians of (N, 2, K) places where lines began and ended; NaN where they were not seen."""
+    usual = np.empty(ends.shape[:2], np.float64)
+    known = np.empty(ends.shape[2], np.float64)
+    for n in range(len(ends)):
+        for end in range(2):
+            count = 0
+            for k in range(ends.shape[2]):
+                if not np.isnan(ends[n, end, k]):
+                    known[count] = ends[n, end, k]
+                    count += 1
+            usual[n, end] = np.median(known[:count])
+    return usual
