@@ -17,7 +17,7 @@ from frontend.tracking.assignment import assign
 from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.flow import WorkingImage, working_image
-from frontend.tracking.guided import measure
+from frontend.tracking.guided import measure, supported
 from frontend.tracking.measurement import MEASURED, line_covariances, with_bias
 from frontend.tracking.overlap import LineFeatures, absorbed, covered, overlap_votes, parents
 from frontend.tracking.prediction import camera_of, focal_of, predicted
@@ -104,7 +104,7 @@ class LineTracker:
             pairs, offsets = self._gated(tracks, pairs, seen)
             if edges is not None:
                 pairs, seen = self._guided(tracks, pairs, seen, edges, gray, lengths)
-        tracks, line_of = self._next(tracks, pairs, seen, frame.index, size, focal_of(camera), lengths)
+        tracks, line_of = self._next(tracks, pairs, seen, frame.index, edges, focal_of(camera), lengths)
         if len(lines) or reset is not None:
             self._image = image
         else:  # an image without lines says nothing: the tracks wait where they were
@@ -193,14 +193,14 @@ class LineTracker:
         pairs: Pairs,
         seen: Seen,
         frame_index: int,
-        size: tuple[int, int],
+        edges: NDArray[np.float32] | None,
         focal: float,
         lengths: NDArray[np.float64],
     ) -> tuple[TrackTable, Pairs]:
         """The tracks after this frame: those that go on, filtered with their lines, and new ones; and the line of each."""
         features = seen.features
         hit = pairs >= 0
-        tracks = self._updated(tracks, hit, seen, pairs[hit], size)
+        tracks = self._updated(tracks, hit, seen, pairs[hit], edges)
         observed = features.segments[pairs[hit]]
         alive = self._alive(tracks, hit, observed, lengths)
         free = np.ones(seen.detected, np.bool_)
@@ -217,7 +217,7 @@ class LineTracker:
         return tracks.take(alive).append(begun_tracks), np.concatenate([pairs[alive], new])
 
     def _updated(
-        self, tracks: TrackTable, hit: NDArray[np.bool_], seen: Seen, rows: Pairs, size: tuple[int, int]
+        self, tracks: TrackTable, hit: NDArray[np.bool_], seen: Seen, rows: Pairs, edges: NDArray[np.float32] | None
     ) -> TrackTable:
         """The tracks with one more frame; those that were hit are filtered with their lines."""
         here = tracks.take(hit)
@@ -232,7 +232,10 @@ class LineTracker:
             here.segments.astype(np.float64), here.depths.astype(np.float64), here.covariances.astype(np.float64), offsets, spread
         )
         ends = np.concatenate([here.ends[:, :, 1:], _along(segments, observed)[:, :, None]], axis=2)
-        low, high = np.ascontiguousarray(usual_extents(ends).T)
+        extents = usual_extents(ends)
+        if edges is not None:
+            extents = supported(edges, segments, ends[:, :, -1].astype(np.float64), extents)
+        low, high = np.ascontiguousarray(extents.T)
         segments, depths, covariances = slide(segments, depths, covariances, low, high)
         ends = (ends - low[:, None, None]) / (high - low)[:, None, None]
         filtered = {

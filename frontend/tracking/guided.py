@@ -13,6 +13,7 @@ STEP = 2.0  # px between stations along the line
 LEAST, MOST = 5, 60  # stations of a line
 ACROSS = 0.75  # px between samples across it
 MIN_EDGE = 0.15  # probability of an edge, as the detector's threshold
+GAP = 5.0  # px without an edge that do not end a line
 NEAR = 0.75  # px, of stations that agree with the line
 ROUNDS = 5  # of the fit
 
@@ -84,6 +85,44 @@ def _measure(edges, segments, bands, residuals, support, strength):  # type: ign
             else:
                 offset[k] += ACROSS * 0.5 * (b - a) / max(2 * here - a - b, 1e-6)
         _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength)
+
+
+@njit()
+def supported(edges, segments, inner, outer):  # type: ignore[no-untyped-def]
+    """How far lines reach along an edge beyond where they were seen.
+
+    Args:
+        edges: (H, W) float32 edge probability.
+        segments: (N, 2, 2) px.
+        inner: (N, 2) places along the segments, from 0 to 1, between which they were seen.
+        outer: (N, 2) places up to which they may reach.
+
+    Returns:
+        (N, 2) places: the outer ones where they lie inside, otherwise as far from the inner ones as the edge goes.
+    """
+    height, width = edges.shape
+    reached = outer.copy()
+    for n in range(len(segments)):
+        x0, y0 = segments[n, 0, 0], segments[n, 0, 1]
+        dx, dy = segments[n, 1, 0] - x0, segments[n, 1, 1] - y0
+        length = max(np.hypot(dx, dy), 1e-6)
+        nx, ny = -dy / length, dx / length
+        for end in range(2):
+            outwards = 2 * end - 1
+            place, last = inner[n, end], inner[n, end]
+            while outwards * (outer[n, end] - place) > 0:
+                place += outwards / length
+                x, y = x0 + place * dx, y0 + place * dy
+                here = 0.0
+                for j in range(-1, 2):
+                    here = max(here, _edge(edges, width, height, x + j * nx, y + j * ny))
+                if here >= MIN_EDGE:
+                    last = place
+                elif abs(place - last) * length > GAP:
+                    break
+            if outwards * (outer[n, end] - last) > GAP / length:
+                reached[n, end] = last
+    return reached
 
 
 @njit(inline="always")
