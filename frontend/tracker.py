@@ -29,6 +29,7 @@ from frontend.tracks import LineTracks, TrackState
 MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
 MEMORY = 0.5  # weight of the past in a track's profile
 CALM = 0.8  # weight of the past in how surprising a track's lines are
+MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track are not gated
 MOST_SURPRISE = 4.0
 MAX_GUIDED = 3.0  # px, widest band in which a track is looked for on the edge map
@@ -101,7 +102,7 @@ class LineTracker:
         if reset is not None:
             tracks, pairs, lengths, self._motion = no_tracks(features), np.zeros(0, np.int32), np.zeros(0), Motion()
         elif len(lines):
-            pairs, offsets = self._gated(tracks, pairs, seen)
+            pairs = self._gated(tracks, pairs, seen)
             if edges is not None:
                 pairs, seen = self._guided(tracks, pairs, seen, edges, gray, lengths)
         tracks, line_of = self._next(tracks, pairs, seen, frame.index, edges, focal_of(camera), lengths)
@@ -145,15 +146,20 @@ class LineTracker:
         free[pairs[pairs >= 0]] = False
         return np.maximum(pairs, assign(votes, config.min_vote, rows=~current, columns=free))
 
-    def _gated(self, tracks: TrackTable, pairs: Pairs, seen: Seen) -> tuple[Pairs, float]:
-        """The pairs without those whose line is too far from the prediction, by what all of them let expect."""
+    def _gated(self, tracks: TrackTable, pairs: Pairs, seen: Seen) -> Pairs:
+        """The pairs without those of which the line is not where the track must be, or looks unlike it at its birth."""
         hit = np.flatnonzero(pairs >= 0)
-        _, _, squares, away = _innovations(tracks.take(hit), seen, pairs[hit])
-        self._noise = max(1.0, float(np.median(squares)) / 1.386) if len(hit) >= CUT_LEAST else 1.0
-        pairs = pairs.copy()
-        far = (squares > self.config.gate * self._noise) & ((away > NEAR_ENOUGH) | (tracks.surprise[hit] > MOST_SURPRISE))
-        pairs[hit[far]] = -1
-        return pairs, 0.0
+        paired, profiles = tracks.take(hit), seen.features.profiles[pairs[hit]].copy()
+        _, _, squares, away = _innovations(paired, seen, pairs[hit])
+        self._noise = max(1.0, float(np.median(squares)) / MEDIAN_SQUARE) if len(hit) >= CUT_LEAST else 1.0
+        drifts = (away > NEAR_ENOUGH) | (paired.surprise > MOST_SURPRISE)
+        unlike = squares > self.config.gate * self._noise
+        backwards = _runs_backwards(paired.segments, seen.features.segments[pairs[hit]])
+        profiles[backwards] = profiles[backwards, ::-1]
+        changed = (profiles * paired.first_profiles).sum(axis=1) < self.config.min_appearance_first
+        kept = pairs.copy()
+        kept[hit[(unlike & drifts) | changed]] = -1
+        return kept
 
     def _guided(
         self, tracks: TrackTable, pairs: Pairs, seen: Seen, edges: NDArray[np.float32], gray: NDArray[np.uint8], lengths: NDArray[np.float64]
@@ -169,6 +175,7 @@ class LineTracker:
         good = (found.support >= self.config.min_support) & (long >= np.maximum(8, 0.5 * lengths[rows]))
         profiles = side_profiles(gray, found.segments)
         good &= (profiles * alone.profiles).sum(axis=1) >= self.config.min_appearance_measured
+        good &= (profiles * alone.first_profiles).sum(axis=1) >= self.config.min_appearance_first
         features = LineFeatures(found.segments, alone.descriptors, profiles)
         errors = line_covariances(found.segments, found.residuals, MEASURED)
         squares = innovations(

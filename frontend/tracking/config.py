@@ -25,7 +25,10 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         max_angle: a track and its line may differ in direction by this much, degrees.
         min_agreement: least dot product of the orientation descriptors of a track and its line.
         min_appearance: least dot product of the grey profiles across a track and its line,
-        min_appearance_lost: and of a track that was missed.
+        min_appearance_lost: and of a track that was missed, min_appearance_measured: of one that was found on the edge
+            map,
+        min_appearance_first: and of how the track looked when it began.
+        min_support: least share of a line that has an edge where it is found on the edge map.
         min_vote: least vote of a pair, see `overlap`.
         gate: largest squared innovation of a pair, over what its covariance lets expect.
         max_gap_s: a longer gap between two frames ends all tracks, seconds.
@@ -42,6 +45,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     min_appearance: Cosine = -0.3
     min_appearance_lost: Cosine = 0.3
     min_appearance_measured: Cosine = 0.5
+    min_appearance_first: Cosine = 0.0
     min_support: Share = 0.6
     min_vote: Share = 0.1
     gate: float = 16.0

@@ -26,7 +26,7 @@ class TrackTable:
         ends: (N, 2, K) float32 where along the segment the line began and ended when it was seen last, the latest at the
             end, from 0 at the segment's start to 1 at its end; NaN before the track began.
         descriptors: (N, C) float32 unit rows.
-        profiles: (N, K) float32, see `appearance`.
+        profiles: (N, K) float32 lately, see `appearance`, and `first_profiles` when the track began.
         born: (N,) int64 index of the first frame.
         hits: (N,) int32 frames in which the track was seen.
         missed: (N,) int32 frames since it was last seen.
@@ -43,6 +43,7 @@ class TrackTable:
     covariances: NDArray[np.float32]
     descriptors: NDArray[np.float32]
     profiles: NDArray[np.float32]
+    first_profiles: NDArray[np.float32]
     born: NDArray[np.int64]
     hits: NDArray[np.int32]
     missed: NDArray[np.int32]
@@ -102,6 +103,7 @@ def new_tracks(
         covariances=covariances,
         descriptors=lines.descriptors,
         profiles=lines.profiles,
+        first_profiles=lines.profiles,
         born=np.full(count, frame_index, np.int64),
         hits=np.ones(count, np.int32),
         missed=np.zeros(count, np.int32),
