@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.evaluation.metrics import Figures, rounded, whole_tracks
-from frontend.evaluation.truth import Record
+from frontend.evaluation.truth import Record, owners
 from frontend.tracks import LineTracks
 
 MIN_PIECE = 15.0  # px that make a true line visible
@@ -22,7 +22,8 @@ Ids = NDArray[np.int64]
 def coverage(records: Sequence[Record]) -> Figures:
     """Figures of the lives of true lines and of tracks; None where there are none.
 
-    A true line is visible in the frames in which a piece of it is at least 15 px long. Of the lines visible in 5 frames
+    A true line is visible in the frames in which a piece of it is at least 15 px long and no other true line lies so near
+    that a detection could belong to either, see `owners`. Of the lines visible in 5 frames
     and more, those count that were detected in one at least: no tracker can begin where nothing is found. A line's main
     track is the one with most frames on it, pieces counted as the track they are of; it covers the visible frames in
     which it is on the line. `coverage` is all covered frames over all visible ones, `coverage_of_all` the same with
@@ -50,8 +51,10 @@ def coverage(records: Sequence[Record]) -> Figures:
 
 
 def _visible(record: Record) -> Ids:
-    delta = record.truth.segments_px[:, 1] - record.truth.segments_px[:, 0]
-    return np.unique(record.truth.ids[np.hypot(delta[:, 0], delta[:, 1]) >= MIN_PIECE])
+    truth = record.truth
+    delta = truth.segments_px[:, 1] - truth.segments_px[:, 0]
+    long = np.hypot(delta[:, 0], delta[:, 1]) >= MIN_PIECE
+    return np.unique(truth.ids[long & (owners(truth.segments_px, truth) == truth.ids)])
 
 
 def _covered(records: Sequence[Record], visible: Sequence[Ids], lines: Ids) -> Ids:
