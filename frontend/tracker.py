@@ -31,7 +31,8 @@ MEMORY = 0.5  # weight of the past in a track's profile
 CALM = 0.8  # weight of the past in how surprising a track's lines are
 MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track are not gated
-MOST_SURPRISE = 4.0
+MOST_SURPRISE = 4.0  # of a track that they still go on with
+CALM_SQUARE = 5.0  # squared innovation that casts no doubt on a line that looks unlike its track at its birth
 MAX_GUIDED = 3.0  # px, widest band in which a track is looked for on the edge map
 CUT_FLOW = 0.2  # share of consistent flow below which an image may show another scene,
 CUT_TRACKS = 0.1  # if no more than this share of the tracks goes on
@@ -130,8 +131,9 @@ class LineTracker:
     def _pair(self, tracks: TrackTable, seen: LineFeatures) -> Pairs:
         """The line of each track: first for those seen in the last frame, then for the others."""
         config = self.config
-        bands = np.minimum(config.band + 3 * _spread(tracks), config.max_band).astype(np.float32)
         current = tracks.missed == 0
+        most = np.where(current, config.max_band, config.max_lost_band)
+        bands = np.minimum(config.band + 3 * _spread(tracks), most).astype(np.float32)
         votes = overlap_votes(
             tracks.features,
             seen,
@@ -152,13 +154,13 @@ class LineTracker:
         paired, profiles = tracks.take(hit), seen.features.profiles[pairs[hit]].copy()
         _, _, squares, away = _innovations(paired, seen, pairs[hit])
         self._noise = max(1.0, float(np.median(squares)) / MEDIAN_SQUARE) if len(hit) >= CUT_LEAST else 1.0
-        drifts = (away > NEAR_ENOUGH) | (paired.surprise > MOST_SURPRISE)
-        unlike = squares > self.config.gate * self._noise
+        surprise = squares / self._noise
         backwards = _runs_backwards(paired.segments, seen.features.segments[pairs[hit]])
         profiles[backwards] = profiles[backwards, ::-1]
         changed = (profiles * paired.first_profiles).sum(axis=1) < self.config.min_appearance_first
+        far = (surprise > self.config.gate) & ((away > NEAR_ENOUGH) | (paired.surprise > MOST_SURPRISE))
         kept = pairs.copy()
-        kept[hit[(unlike & drifts) | changed]] = -1
+        kept[hit[far | (changed & (surprise > CALM_SQUARE))]] = -1
         return kept
 
     def _guided(
@@ -266,7 +268,7 @@ class LineTracker:
     ) -> NDArray[np.bool_]:
         """(N,) mask: seen lately, still in the image, and no piece that is part of its whole line again."""
         confirmed = tracks.hits >= self.config.confirm_hits
-        patience = np.where(confirmed, np.minimum(self.config.max_missed, 2 + tracks.hits // 4), self.config.max_missed_tentative)
+        patience = np.where(confirmed, np.minimum(self.config.max_missed, 2 + tracks.hits // 2), self.config.max_missed_tentative)
         place = np.searchsorted(tracks.ids[hit], tracks.fragment_of)
         found = np.append(tracks.ids[hit], -2)[place] == tracks.fragment_of
         whole_again = absorbed(tracks.segments, np.where(found & ~hit, place, -1), observed)

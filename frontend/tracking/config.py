@@ -17,11 +17,11 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes:
         confirm_hits: a track is confirmed when it was seen in this many frames.
-        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row, or sooner if it
-            has not lived for long;
+        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row, and no more than
+            half of those in which it was seen;
         max_missed_tentative: and a tentative one after this many.
         band: a line may be this far from where its track is predicted, px, and three standard deviations of that,
-        max_band: up to this.
+        max_band: up to this, max_lost_band: and up to that for a track that was missed.
         max_angle: a track and its line may differ in direction by this much, degrees.
         min_agreement: least dot product of the orientation descriptors of a track and its line.
         min_appearance: least dot product of the grey profiles across a track and its line,
@@ -37,9 +37,10 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     confirm_hits: int = 3
     max_missed: int = 30
-    max_missed_tentative: int = 1
+    max_missed_tentative: int = 8
     band: float = 1.5
     max_band: float = 8.0
+    max_lost_band: float = 4.0
     max_angle: Annotated[float, Meta(gt=0, le=90)] = 20.0
     min_agreement: Cosine = 0.5
     min_appearance: Cosine = -0.3
@@ -55,5 +56,5 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def __post_init__(self) -> None:
         if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.max_lines) < 0:
             raise ConfigError("tracker needs confirm_hits >= 1, and max_missed and max_lines of at least 0")
-        if self.band <= 0 or self.max_band < self.band or self.max_gap_s <= 0:
+        if self.band <= 0 or min(self.max_band, self.max_lost_band) < self.band or self.max_gap_s <= 0:
             raise ConfigError("tracker needs band > 0, max_band >= band and max_gap_s > 0")

@@ -20,6 +20,8 @@ BESIDE = np.array([2.0, -2.0], np.float32)  # px of the full image, to either si
 GRID = (6, 4)  # of points over the whole image, so that the motion does not hang on a few lines
 FLOW_NOISE = 0.15  # px of the working image
 GUESSED_FOCAL = 0.8  # of the image's longer side, where the camera is not known
+SETTLED, LEAST_SETTLED = 3, 10  # frames after which a line's depth counts for the unit of depths, and how many lines
+UNITS = (0.5, 2.0)  # change of the unit from one frame to the next
 MOST_DEPTH_ERROR = 0.7  # of a point for the camera's motion
 
 
@@ -87,6 +89,7 @@ def predicted(
         noise,
         max(1.0, motion.error),
     )
+    deep, covariances, motion = _in_unit(deep, covariances, motion, tracks.hits)
     segments = _to_pixels(camera, ends)
     low, high, lengths = visible_parts(segments.astype(np.float32), (camera.width, camera.height))
     segments, deep, covariances = slide(segments, deep, covariances, low, high)
@@ -136,6 +139,18 @@ def _depths(
     spread = np.einsum("nke,nef,nkf->nk", weights, tracks.covariances[:, 2:, 2:], weights)[used]
     depths[: len(own)], errors[: len(own)] = own, np.sqrt(np.maximum(spread, 1e-6))
     return depths, np.minimum(errors, MOST_DEPTH_ERROR)
+
+
+def _in_unit(
+    depths: NDArray[np.float64], covariances: NDArray[np.float64], motion: Motion, hits: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Motion]:
+    """All in a unit in which the scene is as far away as new lines are taken to be: one camera cannot know another."""
+    settled = depths[hits >= SETTLED]
+    if len(settled) < LEAST_SETTLED:
+        return depths, covariances, motion
+    unit = float(np.clip(np.median(settled) / DEPTH, *UNITS))
+    scale = np.array([1, 1, 1 / unit, 1 / unit])
+    return depths / unit, covariances * scale * scale[:, None], replace(motion, translation=motion.translation * unit)
 
 
 def _to_plane(camera: CameraModel, points: NDArray[np.float32]) -> NDArray[np.float64]:
