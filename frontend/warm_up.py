@@ -72,9 +72,9 @@ def _few_collections() -> Iterator[None]:
 
 
 def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], lines: LineSet) -> None:
-    tracker = LineTracker(config)
+    tracker, edges = LineTracker(config), np.zeros(image.shape[:2], np.float32)
     for index in range(2):
-        tracker.update(Frame(index, index, image), lines)
+        tracker.update(Frame(index, index, image), lines, edges)
 
 
 def _compile_all() -> None:

@@ -22,9 +22,9 @@ Ids = NDArray[np.int64]
 def coverage(records: Sequence[Record]) -> Figures:
     """Figures of the lives of true lines and of tracks; None where there are none.
 
-    A true line is visible in the frames in which a piece of it is at least 15 px long and no other true line lies so near
-    that a detection could belong to either, see `owners`. Of the lines visible in 5 frames
-    and more, those count that were detected in one at least: no tracker can begin where nothing is found. A line's main
+    A true line is visible in the frames in which a piece of it is at least 15 px long and no other true line lies so
+    near that a detection could belong to either, see `owners`. Of the lines visible in 5 frames and more, those count
+    that were detected in one at least: no tracker can begin where nothing is found. A line's main
     track is the one with most frames on it, pieces counted as the track they are of; it covers the visible frames in
     which it is on the line. `coverage` is all covered frames over all visible ones, `coverage_of_all` the same with
     lines that were never detected; `covered_most` the share of lines covered for 80 % of their life.

@@ -1,14 +1,26 @@
-"""Tracks that no detected line takes are looked for on the edge map, where they should be."""
+"""Tracks that no detected line takes are looked for on the edge map, where they should be.
+
+As in the paper's local edge voting, stations along the line vote for where it lies across itself.
+"""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from frontend.tracking.appearance import side_profiles
+from frontend.tracking.config import TrackerConfig
+from frontend.tracking.measurement import MEASURED, line_covariances
+from frontend.tracking.overlap import LineFeatures, covered
+from frontend.tracking.pairing import Pairs
+from frontend.tracking.seen import Seen
+from frontend.tracking.state import innovations
+from frontend.tracking.table import TrackTable
 
+PATIENCE = 3  # frames without the line after which it is not looked for any more
+SHORTEST = 8.0  # px, of a line that is looked for
+MAX_BAND = np.float32(3.0)  # px
 STEP = 2.0  # px between stations along the line
 LEAST, MOST = 5, 60  # stations of a line
 ACROSS = 0.75  # px between samples across it
@@ -18,39 +30,75 @@ NEAR = 0.75  # px, of stations that agree with the line
 ROUNDS = 5  # of the fit
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Lines found on an edge map.
+def look_for(
+    tracks: TrackTable,
+    pairs: Pairs,
+    lengths: NDArray[np.float64],
+    seen: Seen,
+    edges: NDArray[np.float32],
+    gray: NDArray[np.uint8],
+    config: TrackerConfig,
+    noise: float,
+) -> tuple[Pairs, Seen]:
+    """Measure the tracks without a line on the edge map.
 
-    Attributes:
-        segments: (N, 2, 2) float32 px, in the directions of the predicted ones.
-        residuals: (N,) float32 rms distance of the stations that agree, px.
-        support: (N,) float32 share of the stations between the ends that agree, 0 where nothing was found.
-        strength: (N,) float32 their mean edge probability.
+    A line is accepted that has an edge along most of it, half the length of what is predicted, both sides that look
+    like the track's, and a place that passes the gate; unless it lies on a detected one.
+
+    Args:
+        tracks: N predicted tracks, with `lengths` (N,) px inside the image.
+        pairs: their lines among those detected.
+        seen: these lines.
+        edges: (H, W) float32 edge probability, and `gray` the image.
+        noise: of the frame, see `pairing.gated`.
+
+    Returns:
+        The pairs and lines with those that were found.
     """
+    rows = np.flatnonzero((pairs < 0) & (lengths >= SHORTEST) & (tracks.missed <= PATIENCE))
+    alone = tracks.take(rows)
+    segments, residuals, support, strength = measure(edges, alone.segments, np.minimum(1 + 2 * alone.spread, MAX_BAND))
+    delta, profiles = segments[:, 1] - segments[:, 0], side_profiles(gray, segments)
+    errors = line_covariances(segments, residuals, MEASURED)
+    squares = innovations(alone.segments, alone.covariances, segments, errors)[2]
+    good = (support >= config.min_support) & (squares <= config.gate * noise)
+    good &= np.hypot(delta[:, 0], delta[:, 1]) >= np.maximum(SHORTEST, 0.5 * lengths[rows])
+    good &= (profiles * alone.profiles).sum(axis=1) >= config.min_appearance_measured
+    good &= (profiles * alone.first_profiles).sum(axis=1) >= config.min_appearance_first
+    good[good] = ~covered(segments[good], seen.features.segments)
+    found = LineFeatures(segments[good], alone.descriptors[good], profiles[good])
+    pairs = pairs.copy()
+    pairs[rows[good]] = len(seen.scores) + np.arange(good.sum())
+    return pairs, Seen(
+        seen.features.append(found),
+        np.concatenate([seen.errors, errors[good]]),
+        np.concatenate([seen.scores, (support * strength)[good]]),
+        seen.detected,
+    )
 
-    segments: NDArray[np.float32]
-    residuals: NDArray[np.float32]
-    support: NDArray[np.float32]
-    strength: NDArray[np.float32]
 
-
-def measure(edges: NDArray[np.float32], segments: NDArray[np.float32], bands: NDArray[np.float32]) -> Measured:
+def measure(
+    edges: NDArray[np.float32], segments: NDArray[np.float32], bands: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Lines on the edge map within a band around predicted ones.
 
-    As in the paper's local edge voting, each station along the line votes for the offset of the strongest edge across
-    it; the straight line that most of them agree with is fitted by reweighted least squares (Tukey's biweight), and
-    ends where they do.
+    Each station along the line votes for the offset of the strongest edge across it; the straight line that most of
+    them agree with is fitted by reweighted least squares (Tukey's biweight), and ends where they do.
 
     Args:
         edges: (H, W) float32 edge probability.
         segments: (N, 2, 2) float32 px.
         bands: (N,) float32 px, half widths.
+
+    Returns:
+        (N, 2, 2) float32 px, in the directions of the predicted ones; (N,) float32 rms distance of the stations that
+        agree, px; (N,) float32 their share of those between the ends, 0 where nothing was found; and (N,) float32
+        their mean edge probability.
     """
     found = segments.copy()
     residuals, support, strength = (np.zeros(len(segments), np.float32) for _ in range(3))
     _measure(edges, found, bands, residuals, support, strength)
-    return Measured(found, residuals, support, strength)
+    return found, residuals, support, strength
 
 
 @njit()
@@ -150,7 +198,7 @@ def _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, s
         if value[k] > 0:
             chosen[votes] = offset[k]
             votes += 1
-    a, b = np.median(chosen), 0.0
+    a, b = float(np.median(chosen)), 0.0
     for turn in range(ROUNDS):
         reach = 3 * NEAR if turn < 2 else 2 * NEAR
         s0, s1, s2, m0, m1 = 1e-9, 0.0, 0.02, 0.0, 0.0

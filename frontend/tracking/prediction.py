@@ -70,24 +70,20 @@ def predicted(
     planes = _to_plane(camera, np.stack([start, moved]))
     depths, errors = _depths(tracks, used, places, len(start))
     focal, noise = focal_of(camera), FLOW_NOISE * float(before.factor.max())
-    motion = camera_motion(
-        *(plane[consistent].astype(np.float32) for plane in planes), depths[consistent], errors[consistent], noise / focal, previous
-    )
+    trusted = [values[consistent].astype(np.float32) for values in (*planes, depths, errors)]
+    motion = camera_motion(trusted[0], trusted[1], trusted[2], trusted[3], noise / focal, previous)
     flows, known = np.zeros((2, *points.shape)), np.zeros(points.shape[:2], np.bool_)
     count = int(used.sum())
     flows[:, used], known[used] = planes[:, :count], consistent[:count]
     ends, deep, covariances, across = predict(
         _to_plane(camera, tracks.segments),
-        tracks.depths.astype(np.float64),
-        tracks.covariances.astype(np.float64),
-        places.astype(np.float64),
-        *flows,
-        known,
-        motion.rotation,
-        motion.translation,
+        tracks.depths,
+        tracks.covariances,
+        places,
+        (flows[0], flows[1], known),
+        motion,
         focal,
         noise,
-        max(1.0, motion.error),
     )
     deep, covariances, motion = _in_unit(deep, covariances, motion, tracks.hits)
     segments = _to_pixels(camera, ends)

@@ -8,6 +8,8 @@ that is one in space is predicted to fractions of a pixel, and one that drifts o
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,11 +27,12 @@ Array = NDArray[np.float64]
 
 
 def new_covariances(segments: Float32, lines: Float32, focal: float) -> Float32:
-    """(N, 4, 4) covariances of new states, of (N, 2, 2) segments, px, with (N, 2, 2) covariances of offset and angle."""
+    """(N, 4, 4) covariances of new states: (N, 2, 2) segments, px, with (N, 2, 2) covariances of offset and angle."""
     delta = segments[:, 1] - segments[:, 0]
     length = np.maximum(np.hypot(delta[:, 0], delta[:, 1]), 1.0)
     covariances = np.zeros((len(segments), 4, 4), np.float32)
-    to_ends = np.stack([np.stack([np.ones_like(length), -length / 2], 1), np.stack([np.ones_like(length), length / 2], 1)], 1)
+    to_ends = np.ones((len(segments), 2, 2), np.float32)
+    to_ends[:, 0, 1], to_ends[:, 1, 1] = -length / 2, length / 2
     covariances[:, :2, :2] = to_ends @ lines @ to_ends.transpose(0, 2, 1)
     apart = np.minimum(1.0, SLOPE * length / focal) ** 2 / 4
     covariances[:, 2:, 2:] = DEPTH_ERROR**2
@@ -44,28 +47,77 @@ def line_part(segments: Float32, covariances: Float32) -> Float32:
     """(N, 2, 2) covariances of offset at the middle, px, and angle, radians, of states with (N, 4, 4) covariances."""
     delta = segments[:, 1] - segments[:, 0]
     length = np.maximum(np.hypot(delta[:, 0], delta[:, 1]), 1.0)
-    half = np.full_like(length, 0.5)
-    from_ends = np.stack([np.stack([half, half], 1), np.stack([-1 / length, 1 / length], 1)], 1)
+    from_ends = np.full((len(segments), 2, 2), 0.5, np.float32)
+    from_ends[:, 1, 0], from_ends[:, 1, 1] = -1 / length, 1 / length
     return np.asarray(from_ends @ covariances[:, :2, :2] @ from_ends.transpose(0, 2, 1), np.float32)
 
 
-@njit()
-def predict(planes, depths, covariances, places, starts, ends, known, R, T, focal, flow_noise, inflation):  # type: ignore[no-untyped-def]
+def predict(
+    planes: Array,
+    depths: Float32,
+    covariances: Float32,
+    places: Float32,
+    flows: tuple[Array, Array, NDArray[np.bool_]],
+    motion: Motion,
+    focal: float,
+    flow_noise: float,
+) -> tuple[Array, Array, Array, Array]:
     """Move states with the camera, after flow of their own points has told more of their depths.
 
     Args:
         planes: (N, 2, 2) float64 ends on the plane z = 1.
-        depths: (N, 2) float64 inverse depths, and covariances (N, 4, 4) float64.
-        places: (N, 2) of the flow's points along the line, from 0 to 1; `starts` and `ends` (N, 2, 2) of their flow on
-            the plane z = 1, `known` (N, 2) bool whether it is consistent.
-        R, T: the camera's motion.
+        depths: (N, 2) inverse depths, and `covariances` (N, 4, 4).
+        places: (N, 2) of the flow's points along the line, from 0 to 1.
+        flows: (N, 2, 2) where they were and (N, 2, 2) are on the plane z = 1, and (N, 2) whether that is consistent.
+        motion: the camera's; where it fits badly predictions err more.
         focal: px per unit of the plane.
         flow_noise: px, standard deviation of flow.
-        inflation: factor of the prediction's error where the motion is not quite known.
 
     Returns:
-        All of the first three, moved, and (N,) how far the lines moved across themselves, px.
+        All of the first three, moved, in float64, and (N,) how far the lines moved across themselves, px.
     """
+    camera = motion.rotation, motion.translation, focal, flow_noise, max(1.0, motion.error)
+    moved: tuple[Array, Array, Array, Array] = _predict(planes, *_doubles(depths, covariances, places), *flows, *camera)
+    return moved
+
+
+def innovations(
+    segments: Float32, covariances: Float32, measured: Float32, noise: Float32
+) -> tuple[Array, Array, Array, Array]:
+    """How far measured lines lie from predicted ones, at the ends of these.
+
+    Args:
+        segments: (N, 2, 2) predicted, px, with covariances (N, 4, 4) of their states.
+        measured: (N, 2, 2) px, in the same directions, with noise (N, 2, 2), covariances of offset and angle.
+
+    Returns:
+        (N, 2) offsets, px, their (N, 2, 2) covariances, (N,) squared and normalised: chi-square of two degrees of
+        freedom where all is as it should be; and (N,) the larger distance of a measured end from the predicted line.
+    """
+    found: tuple[Array, Array, Array, Array] = _innovations(*_doubles(segments, covariances, measured, noise))
+    return found
+
+
+def update(
+    segments: Float32, depths: Float32, covariances: Float32, offsets: Array, spread: Array
+) -> tuple[Array, Array, Array]:
+    """States after their measurements (Kalman 1960); `offsets` and `spread` as of `innovations`."""
+    updated: tuple[Array, Array, Array] = _update(*_doubles(segments, depths, covariances), offsets, spread)
+    return updated
+
+
+def slide(segments: Array, depths: Array, covariances: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+    """States whose ends lie at the places `low` and `high` (N,) along the lines, where 0 and 1 are the ends so far."""
+    moved: tuple[Array, Array, Array] = _slide(segments, depths, covariances, low, high)
+    return moved
+
+
+def _doubles(*arrays: NDArray[Any]) -> list[Array]:
+    return [np.ascontiguousarray(array, np.float64) for array in arrays]
+
+
+@njit()
+def _predict(planes, depths, covariances, places, starts, ends, known, R, T, focal, flow_noise, inflation):  # type: ignore[no-untyped-def]
     across = np.zeros(len(planes))
     planes, depths, covariances = planes.copy(), depths.copy(), covariances.copy()
     h, gain = np.zeros(4, np.float64), np.empty(4, np.float64)
@@ -77,7 +129,8 @@ def predict(planes, depths, covariances, places, starts, ends, known, R, T, foca
                 continue
             nx, ny = _moved_normal(planes[n], depths[n], R, T)
             s = places[n, k]
-            px, py, gx, gy, _ = _moved(starts[n, k, 0], starts[n, k, 1], (1 - s) * depths[n, 0] + s * depths[n, 1], R, T)
+            depth = (1 - s) * depths[n, 0] + s * depths[n, 1]
+            px, py, gx, gy, _ = _moved(starts[n, k, 0], starts[n, k, 1], depth, R, T)
             error = focal * (nx * (ends[n, k, 0] - px) + ny * (ends[n, k, 1] - py))
             g = focal * (nx * gx + ny * gy)
             h[2], h[3] = (1 - s) * g, s * g
@@ -143,17 +196,7 @@ def _shift(segment, first, second):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def innovations(segments, covariances, measured, noise):  # type: ignore[no-untyped-def]
-    """How far measured lines lie from predicted ones, at the ends of these.
-
-    Args:
-        segments: (N, 2, 2) predicted, px, with covariances (N, 4, 4) of their states.
-        measured: (N, 2, 2) px, in the same directions, with noise (N, 2, 2), covariances of offset and angle.
-
-    Returns:
-        (N, 2) offsets, px, their (N, 2, 2) covariances, (N,) squared and normalised: chi-square of two degrees of
-        freedom where all is as it should be; and (N,) the larger distance of a measured end from the predicted line.
-    """
+def _innovations(segments, covariances, measured, noise):  # type: ignore[no-untyped-def]
     offsets, spread = np.zeros((len(segments), 2)), np.zeros((len(segments), 2, 2))
     squares, away = np.zeros(len(segments)), np.zeros(len(segments))
     for n in range(len(segments)):
@@ -187,8 +230,7 @@ def innovations(segments, covariances, measured, noise):  # type: ignore[no-unty
 
 
 @njit()
-def update(segments, depths, covariances, offsets, spread):  # type: ignore[no-untyped-def]
-    """States after their measurements (Kalman 1960); `offsets` and `spread` as of `innovations`."""
+def _update(segments, depths, covariances, offsets, spread):  # type: ignore[no-untyped-def]
     segments, depths, covariances = segments.copy(), depths.copy(), covariances.copy()
     K, moved = np.empty((4, 2), np.float64), np.empty(4, np.float64)
     for n in range(len(segments)):
@@ -228,8 +270,7 @@ def _congruence(A, P):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def slide(segments, depths, covariances, low, high):  # type: ignore[no-untyped-def]
-    """States whose ends lie at the places `low` and `high` (N,) along the lines, where 0 and 1 are the ends so far."""
+def _slide(segments, depths, covariances, low, high):  # type: ignore[no-untyped-def]
     segments, depths, covariances = segments.copy(), depths.copy(), covariances.copy()
     M = np.zeros((4, 4))
     for n in range(len(segments)):

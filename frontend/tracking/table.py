@@ -23,8 +23,8 @@ class TrackTable:
         ids: (N,) int64.
         segments: (N, 2, 2) float32 px, fused, in the image that the tracker last used.
         depths: (N, 2) float32 inverse depths of both ends, with `covariances` (N, 4, 4) float32: see `state`.
-        ends: (N, 2, K) float32 where along the segment the line began and ended when it was seen last, the latest at the
-            end, from 0 at the segment's start to 1 at its end; NaN before the track began.
+        ends: (N, 2, K) float32 where along the segment the line began and ended the last times it was seen, the latest
+            in the last column, from 0 at the segment's start to 1 at its end; NaN before the track began.
         descriptors: (N, C) float32 unit rows.
         profiles: (N, K) float32 lately, see `appearance`, and `first_profiles` when the track began.
         born: (N,) int64 index of the first frame.
@@ -60,6 +60,11 @@ class TrackTable:
         """(N, 2, 2) float32 px, the parts of the segments that were seen last."""
         start, end = self.segments[:, :1], self.segments[:, 1:]
         return np.asarray(start + self.ends[:, :, -1:] * (end - start))
+
+    @property
+    def spread(self) -> NDArray[np.float32]:
+        """(N,) float32 standard deviation of where each line is across itself, px, the larger one of its ends'."""
+        return np.asarray(np.sqrt(np.maximum(self.covariances[:, 0, 0], self.covariances[:, 1, 1])))
 
     @property
     def features(self) -> LineFeatures:
