@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError, from_extra
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
+from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.sources.folder import ImageRow, list_images
 
@@ -71,7 +72,10 @@ class PosedClip:
 
     def __iter__(self) -> Iterator[Frame]:
         for index, row in enumerate(self._images):
-            yield Frame(index, row.stamp_ns, read_image(row.path))
+            image = read_image(row.path)
+            (fx, _, cx), (_, fy, cy), _ = self.K.tolist()
+            camera = CameraModel(image.shape[1], image.shape[0], abs(fx), abs(fy), cx, cy)
+            yield Frame(index, row.stamp_ns, image, camera)
 
 
 def _first_row(path: Path, columns: int, meaning: str) -> Array:
