@@ -47,9 +47,11 @@ def line_part(segments: Float32, covariances: Float32) -> Float32:
     """(N, 2, 2) covariances of offset at the middle, px, and angle, radians, of states with (N, 4, 4) covariances."""
     delta = segments[:, 1] - segments[:, 0]
     length = np.maximum(np.hypot(delta[:, 0], delta[:, 1]), 1.0)
-    from_ends = np.full((len(segments), 2, 2), 0.5, np.float32)
-    from_ends[:, 1, 0], from_ends[:, 1, 1] = -1 / length, 1 / length
-    return np.asarray(from_ends @ covariances[:, :2, :2] @ from_ends.transpose(0, 2, 1), np.float32)
+    first, both, last = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    part = np.empty((len(segments), 2, 2), np.float32)  # the same number twice, which a product of matrices is not
+    part[:, 0, 0], part[:, 1, 1] = (first + 2 * both + last) / 4, (first - 2 * both + last) / length**2
+    part[:, 0, 1] = part[:, 1, 0] = (last - first) / (2 * length)
+    return part
 
 
 def predict(

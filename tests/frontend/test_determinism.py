@@ -76,7 +76,7 @@ TRACK = """
 import numpy as np
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
-from frontend.tracking import appearance, assignment, fusion, overlap
+from frontend.tracking import appearance, assignment, camera_motion, guided, measurement, overlap, state
 from airline import AirLine, LineSet
 from airline.stages import refine, score_parts
 from airline.config import DetectorConfig, EdgeConfig
@@ -88,8 +88,8 @@ lines = LineSet(segments, ones, alike, ones)
 image = rng.integers(0, 256, (200, 200), np.uint8)
 tracker = LineTracker()
 for index in range(3):
-    tracker.update(Frame(index, index, image), lines)
-kernels = [kernel for module in (appearance, assignment, fusion, overlap)
+    tracker.update(Frame(index, index, image), lines, np.zeros(image.shape, np.float32))
+kernels = [kernel for module in (appearance, assignment, camera_motion, guided, measurement, overlap, state)
            for kernel in vars(module).values() if hasattr(kernel, "stats")]
 AirLine(config=settings)(image)
 kernels += [kernel for module in (score_parts, refine) for kernel in vars(module).values()
