@@ -24,6 +24,7 @@ from airline.stages.fit import TotalLeastSquaresFitter
 from airline.stages.refine import ImageRefiner
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
+from frontend.tracking.camera_motion import LEAST_POINTS, Motion, camera_motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.overlap import _votes
 
@@ -75,6 +76,8 @@ def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16],
     tracker, edges = LineTracker(config), np.zeros(image.shape[:2], np.float32)
     for index in range(2):
         tracker.update(Frame(index, index, image), lines, edges)
+    points, ones = np.zeros((LEAST_POINTS, 2), np.float32), np.ones(LEAST_POINTS, np.float32)
+    camera_motion(points, points, ones, ones, 1.0, Motion())  # even if nothing flows in this image
 
 
 def _compile_all() -> None:

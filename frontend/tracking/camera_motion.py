@@ -16,6 +16,7 @@ from airline.kernels.compiled import njit
 
 LEAST_POINTS, MOST_POINTS = 8, 250
 STEPS = 10
+LEAST_DAMPING = 1e-6  # where the points say nothing of a turn, for one when all are in the same place
 SETTLED = 3e-5  # change of the motion, radians, at which they end
 MAX_ERROR = 1.5  # of a motion that is believed
 SHIFT = 0.06  # of a start, in depths of the scene
@@ -59,7 +60,8 @@ def camera_motion(
     if len(before) < LEAST_POINTS:
         return previous
     every = -(-len(before) // MOST_POINTS)
-    points = before[::every], after[::every], inverse_depths[::every], depth_errors[::every], noise
+    some = [np.ascontiguousarray(values[::every]) for values in (before, after, inverse_depths, depth_errors)]
+    points = *some, noise
     best = _align(*points, previous.rotation, previous.translation, 6)
     if best[2] > MAX_ERROR:  # a jerk, or the first two images: from the best turn alone, and from shifts along the axes
         turned, still, _, _ = _align(*points, np.eye(3), np.zeros(3), 3)
@@ -88,7 +90,7 @@ def _align(before, after, depths, errors, noise, R, T, free):  # type: ignore[no
         for _ in range(3):
             damped = a[:free, :free].copy()
             for k in range(free):
-                damped[k, k] *= 1 + damping
+                damped[k, k] += damping * damped[k, k] + LEAST_DAMPING
             step = np.zeros(6, np.float64)
             step[:free] = np.linalg.solve(damped, b[:free])
             turned, shifted = _rotation(step[:3]) @ R, T + step[3:]
