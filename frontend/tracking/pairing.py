@@ -14,7 +14,7 @@ from frontend.tracking.table import TrackTable
 
 Pairs = NDArray[np.int32]  # row of the line that each track goes on with, or -1
 
-LATELY = 2  # frames that a confirmed track may have been missed and still choose with those just seen
+LATELY = 1  # frames that a confirmed track may have been missed and still choose with those just seen
 LEAST_PAIRS = 10  # from which the noise of a frame is told
 MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track pass the gate,
