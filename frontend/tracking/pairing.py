@@ -23,7 +23,7 @@ CALM_SQUARE = 5.0  # squared innovation that casts no doubt on a line that looks
 
 
 def pair(tracks: TrackTable, seen: LineFeatures, config: TrackerConfig) -> Pairs:
-    """The line of each track: first for those seen lately, so that one odd line does not end a track, then for others."""
+    """The line of each track: first for those seen lately, so that one odd line ends none, then for the others."""
     current = tracks.missed == 0
     early = current | ((tracks.hits >= config.confirm_hits) & (tracks.missed <= LATELY))
     most = np.where(current, config.max_band, config.max_lost_band)
