@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
 
-LEAST_POINTS, MOST_POINTS = 8, 250
+LEAST_POINTS, MOST_POINTS = 8, 160
 STEPS = 10
 SETTLED = 3e-5  # change of the motion, radians, at which they end
 MAX_ERROR = 1.5  # of a motion that is believed
