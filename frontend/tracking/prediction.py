@@ -107,8 +107,8 @@ def predicted(
 def _points(tracks: TrackTable) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]]:
     """(N, 2, 2) points beside each line, the (N, 2) mask of those that are used, and their (N, 2) places along it.
 
-    The points of a line that was not seen show what hides it. Of very many lines those are followed whose depth is least
-    known, and some of the others.
+    The points of a line that was not seen show what hides it. Of very many lines those are followed whose depth is
+    least known, and some of the others.
     """
     segments = tracks.segments
     delta = segments[:, 1] - segments[:, 0]
