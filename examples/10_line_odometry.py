@@ -19,7 +19,7 @@ from rich.table import Table
 
 from airline.command import write_json
 from airline.errors import AirLineError
-from line_odometry.clips import LSD, OURS, TRUE_LINES, Seen, built_in, posed
+from line_odometry.clips import FUSED, LSD, OURS, TRUE_LINES, Seen, built_in, posed
 from line_odometry.odometry import LineOdometry
 from line_odometry.score import align, mapped
 from line_odometry.show import show
@@ -62,16 +62,16 @@ parser.add_argument(
     "--clip", type=Path, metavar="DIR", help="images/, calib.txt, poses.txt (default: the built-in clip)"
 )
 parser.add_argument("--frames", type=int, metavar="N", help="use the first N frames (200 of the built-in clip)")
-parser.add_argument("--baselines", action="store_true", help="also LSD with nearest neighbour, and true lines")
+parser.add_argument("--baselines", action="store_true", help="also with fused lines, LSD with nearest neighbour, and true lines")
 parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record path and lines for the Rerun viewer")
 options = parser.parse_args()
 baselines = options.baselines
 try:
     if options.clip is not None:
-        clip = posed(options.clip, options.frames, [OURS, LSD] if baselines else [OURS])
+        clip = posed(options.clip, options.frames, [OURS, FUSED, LSD] if baselines else [OURS])
     else:
-        clip = built_in(options.frames or 200, [OURS, TRUE_LINES, LSD] if baselines else [OURS])
+        clip = built_in(options.frames or 200, [OURS, FUSED, TRUE_LINES, LSD] if baselines else [OURS])
     results = {name: run(clip, name, options.save if name == OURS else None) for name in clip.views}
     write_json(options.json, results)
 except AirLineError as error:

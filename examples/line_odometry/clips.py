@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from airline import AirLine, LineSet
+from airline import LineSet
 from airline.evaluation.benchmark import lsd
 from airline.scenes import RenderedClip, RenderedView, render_clip
 from airline.scenes.clip import build_scene
-from frontend import CameraModel, Frame, LineTracker
+from frontend import Frame, LineFrontend
 from frontend.evaluation.baselines import NearestTracker
 from frontend.evaluation.posed import PosedClip
 from frontend.sources.scene import frame_of
@@ -20,7 +21,7 @@ from line_odometry.geometry import Array, homogeneous
 from line_odometry.score import TrueLines
 from line_odometry.views import View
 
-OURS, TRUE_LINES, LSD = "AirLine", "true lines", "LSD and nearest"
+OURS, FUSED, TRUE_LINES, LSD = "AirLine", "AirLine, fused lines", "true lines", "LSD and nearest"
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,8 @@ def posed(folder: Path, frames: int | None, names: list[str]) -> Seen:
     for frame in clip:
         if frames is not None and frame.index >= frames:
             break
-        height, width = frame.image.shape[:2]
-        camera = CameraModel(width, height, clip.K[0, 0], clip.K[1, 1], clip.K[0, 2], clip.K[1, 2])
         for name, look in frontends.items():
-            views[name].append(look(replace(frame, camera=camera)))
+            views[name].append(look(frame))
     return Seen(clip.K[0, 0], "RDF", clip.poses[:frames], views)
 
 
@@ -95,13 +94,17 @@ def _union(pieces: Array) -> Iterator[Array]:
 
 
 def _frontends(names: list[str]) -> dict[str, Callable[[Frame], View]]:
-    makers: dict[str, Callable[[], Callable[[Frame], View]]] = {OURS: _ours, LSD: _lsd_and_nearest}
+    makers: dict[str, Callable[[], Callable[[Frame], View]]] = {
+        OURS: partial(_ours, "observed_px"),
+        FUSED: partial(_ours, "segments_px"),
+        LSD: _lsd_and_nearest,
+    }
     return {name: makers[name]() for name in names if name in makers}
 
 
-def _ours() -> Callable[[Frame], View]:
-    detector, tracker = AirLine(), LineTracker()
-    return lambda frame: View.of(tracker.update(frame, detector(frame.image)))
+def _ours(lines: str) -> Callable[[Frame], View]:
+    frontend = LineFrontend()
+    return lambda frame: View.of(frontend.process(frame).tracks, lines)
 
 
 def _lsd_and_nearest() -> Callable[[Frame], View]:

@@ -28,15 +28,15 @@ class View:
     ends: Array
 
     @staticmethod
-    def of(tracks: LineTracks) -> View:
+    def of(tracks: LineTracks, lines: str = "observed_px") -> View:
         """What the frontend says of a frame whose camera is known.
 
         A piece of a broken line is that line. What counts is each frame's own measurement, for the adjustment does
-        itself what the fused lines are made for. ValueError without a camera.
+        itself what the fused lines, "segments_px", are made for. ValueError without a camera.
         """
         if tracks.camera is None:
             raise ValueError("odometry needs a camera: give the source a calibration")
-        ends = tracks.camera.normalize(tracks.observed_px)
+        ends = tracks.camera.normalize(getattr(tracks, lines))
         known = np.isfinite(ends).all(axis=(1, 2))
         ids = np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)
         return View(ids[known], homogeneous(ends[known]))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError, from_extra
-from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.camera.model import CameraModel
+from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.frame import Frame
 from frontend.sources.folder import ImageRow, list_images
 

@@ -1,1 +1,1 @@
-"""The tracker's parts: `motion` predicts, `overlap` votes, `assignment` pairs, `fusion` updates, `table` remembers."""
+"""The tracker's parts: `prediction`, `overlap` votes, `pairing`, `guided` search, `correction`; `table` remembers."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
 
-LEAST_POINTS, MOST_POINTS = 8, 250
+LEAST_POINTS, MOST_POINTS = 8, 160
 STEPS = 10
 LEAST_DAMPING = 1e-6  # where the points say nothing of a turn, for one when all are in the same place
 SETTLED = 3e-5  # change of the motion, radians, at which they end

@@ -21,9 +21,9 @@ from frontend.tracking.table import TrackTable
 PATIENCE = 3  # frames without the line after which it is not looked for any more
 SHORTEST = 8.0  # px, of a line that is looked for
 MAX_BAND = np.float32(3.0)  # px
-STEP = 2.0  # px between stations along the line
+STEP = 3.0  # px between stations along the line
 LEAST, MOST = 5, 60  # stations of a line
-ACROSS = 0.75  # px between samples across it
+ACROSS = 1.0  # px between samples across it
 MIN_EDGE = 0.15  # probability of an edge, as the detector's threshold
 GAP = 5.0  # px without an edge that do not end a line
 NEAR = 0.75  # px, of stations that agree with the line

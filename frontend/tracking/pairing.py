@@ -14,6 +14,7 @@ from frontend.tracking.table import TrackTable
 
 Pairs = NDArray[np.int32]  # row of the line that each track goes on with, or -1
 
+LATELY = 1  # frames that a confirmed track may have been missed and still choose with those just seen
 LEAST_PAIRS = 10  # from which the noise of a frame is told
 MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track pass the gate,
@@ -22,8 +23,9 @@ CALM_SQUARE = 5.0  # squared innovation that casts no doubt on a line that looks
 
 
 def pair(tracks: TrackTable, seen: LineFeatures, config: TrackerConfig) -> Pairs:
-    """The line of each track: first for those seen in the last frame, then for the others."""
+    """The line of each track: first for those seen lately, so that one odd line ends none, then for the others."""
     current = tracks.missed == 0
+    early = current | ((tracks.hits >= config.confirm_hits) & (tracks.missed <= LATELY))
     most = np.where(current, config.max_band, config.max_lost_band)
     votes = overlap_votes(
         tracks.features,
@@ -34,10 +36,10 @@ def pair(tracks: TrackTable, seen: LineFeatures, config: TrackerConfig) -> Pairs
         max_angle=np.deg2rad(config.max_angle),
         min_agreement=config.min_agreement,
     )
-    pairs = assign(votes, config.min_vote, rows=current)
+    pairs = assign(votes, config.min_vote, rows=early)
     free = np.ones(len(seen.segments), np.bool_)
     free[pairs[pairs >= 0]] = False
-    return np.maximum(pairs, assign(votes, config.min_vote, rows=~current, columns=free))
+    return np.maximum(pairs, assign(votes, config.min_vote, rows=~early, columns=free))
 
 
 def gated(tracks: TrackTable, pairs: Pairs, seen: Seen, config: TrackerConfig) -> tuple[Pairs, float]:

@@ -17,10 +17,12 @@ from frontend.tracking.table import TrackTable
 PLACES = np.array([0.25, 0.75], np.float32)  # of the points along a line
 SHORT = 60.0  # px; a shorter line has one point, in its middle
 BESIDE = np.array([2.0, -2.0], np.float32)  # px of the full image, to either side, where there is texture
+MOST_FOLLOWED, MOST_UNSURE = 500, 300  # lines that flow follows, and those whose depth is least known among them
 GRID = (6, 4)  # of points over the whole image, so that the motion does not hang on a few lines
 FLOW_NOISE = 0.15  # px of the working image
 GUESSED_FOCAL = 0.8  # of the image's longer side, where the camera is not known
 SETTLED, LEAST_SETTLED = 3, 10  # frames after which a line's depth counts for the unit of depths, and how many lines
+SAME_UNIT = 0.03  # change of the unit that is not worth the work
 UNITS = (0.5, 2.0)  # change of the unit from one frame to the next
 MOST_DEPTH_ERROR = 0.7  # of a point for the camera's motion
 
@@ -105,7 +107,8 @@ def predicted(
 def _points(tracks: TrackTable) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]]:
     """(N, 2, 2) points beside each line, the (N, 2) mask of those that are used, and their (N, 2) places along it.
 
-    The points of a line that was not seen show what hides it.
+    The points of a line that was not seen show what hides it. Of very many lines those are followed whose depth is
+    least known, and some of the others.
     """
     segments = tracks.segments
     delta = segments[:, 1] - segments[:, 0]
@@ -114,7 +117,14 @@ def _points(tracks: TrackTable) -> tuple[NDArray[np.float32], NDArray[np.bool_],
     short = length < SHORT
     places = np.where(short, np.float32(0.5), PLACES)
     points = segments[:, None, 0] + places[:, :, None] * delta[:, None] + BESIDE[:, None] * across[:, None]
-    return points, tracks.visible[:, None] & ~(short & [False, True]), places
+    used = tracks.visible[:, None] & ~(short & [False, True])
+    visible = np.flatnonzero(tracks.visible)
+    if len(visible) > MOST_FOLLOWED:
+        error = tracks.covariances[visible, 2, 2] + tracks.covariances[visible, 3, 3]
+        unsure = visible[np.argsort(-error, kind="stable")]
+        others = unsure[MOST_UNSURE:]
+        used[others[np.arange(len(others)) % -(-len(others) // (MOST_FOLLOWED - MOST_UNSURE)) != 0]] = False
+    return points, used, places
 
 
 def _grid(image: WorkingImage) -> NDArray[np.float32]:
@@ -145,6 +155,8 @@ def _in_unit(
     if len(settled) < LEAST_SETTLED:
         return depths, covariances, motion
     unit = float(np.clip(np.median(settled) / DEPTH, *UNITS))
+    if abs(unit - 1) < SAME_UNIT:
+        return depths, covariances, motion
     scale = np.array([1, 1, 1 / unit, 1 / unit])
     return depths / unit, covariances * scale * scale[:, None], replace(motion, translation=motion.translation * unit)
 
