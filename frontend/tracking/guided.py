@@ -24,6 +24,7 @@ MAX_BAND = np.float32(3.0)  # px
 STEP = 3.0  # px between stations along the line
 LEAST, MOST = 5, 60  # stations of a line
 ACROSS = 1.0  # px between samples across it
+RIDGE = 0.75  # samples that the top of a ridge may be from the strongest, which is the nearer one of two alike
 MIN_EDGE = 0.15  # probability of an edge, as the detector's threshold
 GAP = 5.0  # px without an edge that do not end a line
 NEAR = 0.75  # px, of stations that agree with the line
@@ -128,10 +129,11 @@ def _measure(edges, segments, bands, residuals, support, strength):  # type: ign
             offset[k] = place * ACROSS
             a = _edge(edges, width, height, x - (place - 1) * ACROSS * uy, y + (place - 1) * ACROSS * ux)
             b = _edge(edges, width, height, x - (place + 1) * ACROSS * uy, y + (place + 1) * ACROSS * ux)
-            if here < MIN_EDGE or here < a or here < b:
+            curvature = 2 * here - a - b
+            if here < MIN_EDGE or curvature <= 0 or abs(b - a) > 2 * RIDGE * curvature:
                 value[k] = 0  # no ridge runs along here
             else:
-                offset[k] += ACROSS * 0.5 * (b - a) / max(2 * here - a - b, 1e-6)
+                offset[k] += ACROSS * 0.5 * (b - a) / curvature
         _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength)
 
 
