@@ -8,24 +8,11 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from frontend.tracking.guided import GAP, SHORTEST, measure, supported
+from tests.helpers.tracking_frames import EDGE, edge_map
 
 WIDTH, HEIGHT = 200, 160
-RADIUS = 0.8  # px, of an edge's profile
 BAND = np.float32([3.0])
 LINE = np.array([[40.0, 60.0], [160.0, 95.0]])
-
-
-def edge_map(*segments: np.ndarray, strength: float = 0.9) -> np.ndarray:
-    """Edge probability around segments, as a network gives it: a ridge about two pixels wide."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    edges = np.zeros((HEIGHT, WIDTH))
-    for start, end in segments:
-        length = np.hypot(*(end - start))
-        ux, uy = (end - start) / length
-        along = np.clip((x - start[0]) * ux + (y - start[1]) * uy, 0, length)
-        away = np.hypot(x - start[0] - along * ux, y - start[1] - along * uy)
-        edges = np.maximum(edges, strength * np.exp(-0.5 * (away / RADIUS) ** 2))
-    return edges.astype(np.float32)
 
 
 def piece(low: float, high: float, line: np.ndarray = LINE) -> np.ndarray:
@@ -62,7 +49,7 @@ def test_a_line_that_moved_is_measured_where_it_is(angle, first, last, length):
 
 
 def test_a_broken_line_is_measured_by_its_pieces_and_ends_where_its_edge_does():
-    found, _, support = looked_for(edge_map(piece(0.1, 0.45), piece(0.6, 0.8)), LINE)
+    found, _, support = looked_for(edge_map([piece(0.1, 0.45), piece(0.6, 0.8)]), LINE)
     assert np.abs(across(LINE, found)).max() < 0.2
     assert np.abs(found - piece(0.1, 0.8)).max() < 3
     assert support == pytest.approx(0.55 / 0.7, abs=0.08), "the share between its ends that has an edge"
@@ -73,7 +60,7 @@ def test_a_line_is_measured_beside_a_weaker_one_and_through_clutter():
     aside = np.array([-0.28, 0.96])
     edges = np.maximum(edge_map(LINE + 0.8 * aside), edge_map(LINE - 2.2 * aside, strength=0.4))
     spots = rng.uniform((30, 50), (170, 105), (12, 2))
-    cluttered = np.maximum(edges, edge_map(*(np.stack([spot - 4, spot + 4]) for spot in spots)))
+    cluttered = np.maximum(edges, edge_map(np.stack([spots - 4, spots + 4], axis=1)))
     for image in (edges, cluttered):
         found, _, support = looked_for(image, LINE)
         assert np.abs(across(LINE + 0.8 * aside, found)).max() < 0.35
@@ -83,7 +70,7 @@ def test_a_line_is_measured_beside_a_weaker_one_and_through_clutter():
 @pytest.mark.parametrize(
     "edges",
     [
-        edge_map(),
+        edge_map([]),
         edge_map(LINE, strength=0.1),
         edge_map(np.array([[100.0, 10], [100, 150]])),
         edge_map(np.array([[60.0, 50], [140, 110]])),
@@ -110,7 +97,7 @@ def runs(lengths: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
     """Stretches of edge and of none by turns, from x = 20 on, and which whole pixels have an edge."""
     ends = 20 + np.cumsum([0, *lengths])
     pieces = [np.array([[low, 80.0], [high, 80.0]]) for low, high in zip(ends[:-1:2], ends[1::2], strict=False)]
-    return pieces, edge_map(*pieces)
+    return pieces, edge_map(pieces)
 
 
 @settings(max_examples=50, deadline=None)
@@ -129,21 +116,25 @@ def test_no_extent_reaches_over_pixels_without_an_edge(lengths, backwards):
     assert x.min() == pytest.approx(20)
     end = pieces[0][1, 0]
     for begin, stop in (p[:, 0] for p in pieces[1:]):
-        if begin - end > GAP + 2 * RADIUS + 2:
+        if begin - end > GAP + 2 * EDGE + 2:
             break
         if begin - end > GAP:  # by a pixel's blur it may be either
             end = stop if last > begin else end
             continue
         end = stop
-    assert end - 1 <= last <= end + GAP + 2 * RADIUS + 1
+    assert end - 1 <= last <= end + GAP + 2 * EDGE + 1
 
 
 def test_an_extent_ends_where_it_was_meant_to_on_a_whole_edge():
     inner, outer = np.array([[0.3, 0.5]]), np.array([[0.1, 0.8]])
     assert supported(edge_map(LINE), LINE[None], inner, outer) == pytest.approx(outer)
-    assert supported(edge_map(), LINE[None], inner, outer) == pytest.approx(inner), "where nothing is nothing is added"
+    assert supported(edge_map([]), LINE[None], inner, outer) == pytest.approx(inner), (
+        "where nothing is nothing is added"
+    )
     smaller = np.array([[0.4, 0.45]])
-    assert supported(edge_map(), LINE[None], inner, smaller) == pytest.approx(smaller), "what was seen may be too much"
+    assert supported(edge_map([]), LINE[None], inner, smaller) == pytest.approx(smaller), (
+        "what was seen may be too much"
+    )
 
 
 def test_the_shortest_line_that_is_looked_for_can_be_measured():

@@ -58,17 +58,17 @@ def test_a_tentative_track_that_is_missed_too_often_ends():
 
 
 def test_a_confirmed_track_is_lost_moves_on_and_is_found_again():
-    tracker = begin()
+    tracker = begin(frames=8)
     for k in range(1, 6):
-        tracks = tracker.update(frame(2 + k, shift=4 * k), line_set(LINES[:2] + np.float32([4 * k, 0])))
+        tracks = tracker.update(frame(7 + k, shift=4 * k), line_set(LINES[:2] + np.float32([4 * k, 0])))
         assert tracks.ids.tolist() == [0, 1]
         assert tracks.lost_ids.tolist() == [2]
         assert np.abs(tracks.lost_segments_px[0] - LINES[2] - np.float32([4 * k, 0])).max() < 1.0
-    back = tracker.update(frame(8, shift=24), line_set(LINES + np.float32([24, 0])))
+    back = tracker.update(frame(13, shift=24), line_set(LINES + np.float32([24, 0])))
     assert back.ids.tolist() == [0, 1, 2]
     assert back.lost_ids.tolist() == []
-    assert back.ages.tolist() == [8, 8, 8]
-    assert back.hits.tolist() == [9, 9, 4]
+    assert back.ages.tolist() == [13, 13, 13]
+    assert back.hits.tolist() == [14, 14, 9]
 
 
 def test_a_lost_track_is_removed_and_never_comes_back():
@@ -78,11 +78,21 @@ def test_a_lost_track_is_removed_and_never_comes_back():
     assert tracker.update(frame(7), line_set(LINES)).ids.tolist() == [0, 1, 3]
 
 
+@pytest.mark.parametrize(("hits", "patience"), [(3, 3), (4, 4), (9, 6), (30, 17), (40, 18)])
+def test_a_track_is_lost_for_as_long_as_half_its_life_and_two_frames_more(hits, patience):
+    tracker, lost = begin(frames=hits, max_missed=18), 0
+    for index in range(hits, hits + 25):
+        tracks = tracker.update(frame(index), line_set(LINES[:2]))
+        lost += tracks.lost_ids.tolist() == [2]
+        assert (tracks.ended_ids.tolist() == [2]) == (index == hits + patience)
+    assert lost == patience
+
+
 def test_a_track_that_leaves_the_image_ends():
-    tracker = begin(np.concatenate([LINES, [[[185, 20], [190, 100]]]]))
+    tracker = begin(np.concatenate([LINES, [[[185, 20], [190, 100]]]]), frames=8)
     ended = []
     for k in range(1, 5):
-        tracks = tracker.update(frame(2 + k, shift=5 * k), line_set(LINES[:1] + np.float32([5 * k, 0])))
+        tracks = tracker.update(frame(7 + k, shift=5 * k), line_set(LINES[:1] + np.float32([5 * k, 0])))
         ended += tracks.ended_ids.tolist()
     assert ended == [3]
 
@@ -109,7 +119,8 @@ def test_a_broken_line_goes_on_with_its_longest_piece_and_reports_the_other():
         assert broken.line_indices.tolist() == [0, 2, 1]
         assert broken.fragment_of.tolist() == [-1, -1, 0]
         assert np.allclose(broken.observed_px[0], pieces[0])
-        assert broken.segments_px[0, 1, 0] > 150, "the extent of a line that broke shrinks slowly"
+        usual = 180 if k < 5 else 110
+        assert broken.segments_px[0, 1, 0] == pytest.approx(usual, abs=1), "where it ended in most of the last frames"
     joined = tracker.update(drawn(7, whole), line_set(whole))
     assert joined.ids.tolist() == [0, 1]
     assert joined.ended_ids.tolist() == [2], "a piece that is part of the whole again is no line of its own"
@@ -131,12 +142,13 @@ def test_pieces_that_join_keep_the_longer_ones_id():
     joined = tracker.update(drawn(3, whole), line_set(whole))
     assert joined.ids.tolist() == [0]
     assert joined.lost_ids.tolist() == [1]
-    assert joined.segments_px[0, 1, 0] > 160, "an extent grows at once"
+    assert joined.observed_px[0, 1, 0] == 180
+    assert joined.segments_px[0, 1, 0] == pytest.approx(110, abs=1), "an extent grows when a line grew for good"
     apart = tracker.update(drawn(4, pieces), line_set(pieces))
     assert apart.ids.tolist() == [0, 1], "and both are there when it breaks again"
 
 
-@pytest.mark.parametrize(("step", "frames"), [(9, (0, 1, 2)), (40, (0, 1, 2)), (30, (0, 1, 3))])
+@pytest.mark.parametrize(("step", "frames"), [(9, (0, 1, 2)), (40, (0, 1, 2)), (20, (0, 1, 3))])
 def test_follows_a_moving_image(step, frames):
     """Also over a skipped frame."""
     tracker = LineTracker()
@@ -171,7 +183,7 @@ def test_a_resting_line_is_steadier_than_its_detections():
         errors.append((tracks.segments_px[0] - line[0]).mean(axis=0) @ normal)
         raw.append((noisy[0] - line[0]).mean(axis=0) @ normal)
         sigma.append(np.sqrt(tracks.covariances[0, 0, 0]))
-    assert np.std(errors[10:]) < 0.5 * np.std(raw[10:])
+    assert np.std(errors[10:]) < 0.7 * np.std(raw[10:])
     assert np.max(np.abs(errors[10:])) < 3 * sigma[-1]
     assert sigma[-1] < sigma[0]
 

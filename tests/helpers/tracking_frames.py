@@ -1,4 +1,4 @@
-"""Frames of a textured plane that moves, and lines with the descriptors that six line kernels would give them."""
+"""Frames of a textured plane that moves, lines with the descriptors of six line kernels, and edge maps of lines."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from airline import LineSet
 from frontend import Frame
 
 MARGIN = 100  # px that the plane may move in either direction
+EDGE = 0.8  # px, standard deviation of an edge map's ridges across themselves
 
 
 def line_set(segments: np.ndarray) -> LineSet:
@@ -42,3 +43,16 @@ def drawn(index: int, segments: np.ndarray, size: tuple[int, int] = (200, 160)) 
     for start, end in np.rint(np.reshape(segments, (-1, 2, 2))).astype(int).tolist():
         cv2.line(image, start, end, 220, 2)
     return Frame(index, index * 33_000_000, image.astype(np.uint8))
+
+
+def edge_map(segments: np.ndarray, size: tuple[int, int] = (200, 160), strength: float = 0.9) -> np.ndarray:
+    """(H, W) float32 edge probability, as a network gives it: a ridge about two pixels wide along every segment."""
+    y, x = np.mgrid[: size[1], : size[0]]
+    edges = np.zeros(x.shape)
+    for start, end in np.reshape(segments, (-1, 2, 2)):
+        length = np.hypot(*(end - start))
+        ux, uy = (end - start) / length
+        along = np.clip((x - start[0]) * ux + (y - start[1]) * uy, 0, length)
+        away = np.hypot(x - start[0] - along * ux, y - start[1] - along * uy)
+        edges = np.maximum(edges, strength * np.exp(-0.5 * (away / EDGE) ** 2))
+    return edges.astype(np.float32)
