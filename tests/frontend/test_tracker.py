@@ -9,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airline import ConfigError
-from airline.scenes import RenderedClip
 from frontend import Frame, LineTracker, TrackerConfig, TrackState
-from frontend.evaluation.truth import Truth, owners
 from tests.helpers.tracking_frames import drawn, frame, line_set
 
 LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
@@ -25,19 +23,6 @@ def begin(lines: np.ndarray = LINES, frames: int = 3, **settings: object) -> Lin
     for index in range(frames):
         tracker.update(frame(index), line_set(lines))
     return tracker
-
-
-def test_rendered_lines_keep_their_identity():
-    tracker, owner, right, wrong = LineTracker(), {}, 0, 0
-    for index, view in enumerate(RenderedClip(kind="indoor", motion="handheld", seed=3, frames=40)):
-        long = np.linalg.norm(view.segments_px[:, 1] - view.segments_px[:, 0], axis=1) > 20
-        tracks = tracker.update(Frame(index, view.stamp_ns, view.image), line_set(view.segments_px[long]))
-        for track, line in zip(tracks.ids.tolist(), view.ids[long][tracks.line_indices].tolist(), strict=True):
-            if track in owner:
-                right, wrong = right + (owner[track] == line), wrong + (owner[track] != line)
-            owner[track] = line
-    assert right > 2000
-    assert right / (right + wrong) > 0.98
 
 
 def test_a_tentative_track_is_confirmed_by_its_third_frame():
@@ -247,26 +232,6 @@ def test_promises_on_random_lines(seed, frames):
         assert seen >= ended
         runs.append(result)
     assert runs[0] == runs[1], "the same stream gives the same tracks"
-
-
-def test_covariances_fit_the_errors_on_rendered_lines():
-    from airline import AirLine
-
-    detector, tracker, normalised = AirLine("fast"), LineTracker(), []
-    sequence = RenderedClip(kind="indoor", motion="slow", seed=21, frames=12, min_contrast=4.0, merge_doubles=False)
-    for index, view in enumerate(sequence):
-        lines = detector(view.image)
-        owner = owners(lines.segments, Truth(view.segments_px, view.ids))
-        tracks = tracker.update(Frame(index, view.stamp_ns, view.image), lines)
-        for row in np.flatnonzero((owner[tracks.line_indices] >= 0) & (tracks.hits > 3)):
-            middle = tracks.segments_px[row].mean(axis=0)
-            pieces = view.segments_px[view.ids == owner[tracks.line_indices[row]]]
-            delta = pieces[:, 1] - pieces[:, 0]
-            across = np.stack([-delta[:, 1], delta[:, 0]], axis=1) / np.linalg.norm(delta, axis=1)[:, None]
-            offsets = ((middle - pieces[:, 0]) * across).sum(axis=1)
-            normalised.append(np.abs(offsets).min() / np.sqrt(tracks.covariances[row, 0, 0]))
-    assert len(normalised) > 500
-    assert 0.4 < np.percentile(normalised, 68.3) < 1.6, "one standard deviation holds about 68 %"
 
 
 @pytest.mark.parametrize("settings", [{"band": 0}, {"confirm_hits": 0}, {"max_gap_s": 0}, {"max_lines": -1}])
