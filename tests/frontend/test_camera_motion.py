@@ -90,16 +90,21 @@ def test_a_shift_without_depths_gives_the_epipole(translation):
         assert np.linalg.norm(cv2.Rodrigues(motion.rotation @ truth.rotation.T)[0]) < 4 * NOISE
 
 
-def test_a_jerk_is_followed_and_a_motion_that_nobody_makes_is_not_believed():
-    before, after = Motion(turned(0.01, 0, 0), np.array([0, 0, 0.08])), Motion(turned(0, -0.06, 0.03))
+@pytest.mark.parametrize("translation", [(0, 0, 0.1), (0.05, 0.02, 0.05), (-0.05, 0.02, -0.05)])
+def test_a_jerk_is_followed(translation):
+    before, after = Motion(np.eye(3), np.array([0.3, 0, 0])), Motion(turned(0.005, -0.08, 0.03), np.array(translation))
     for seed in SEEDS:
         motion = found(scene(seed, after), UNKNOWN, before)
         assert np.linalg.norm(cv2.Rodrigues(motion.rotation @ after.rotation.T)[0]) < 4 * NOISE
-    assert found(scene(0, after, wrong=1.0), UNKNOWN, before).error > 3, "points that agree on nothing say so"
+        assert degrees_between(motion.translation, after.translation) < 2.0
+
+
+def test_a_motion_that_no_points_make_is_not_believed():
+    assert found(scene(0, Motion(), wrong=1.0), UNKNOWN).error > 3
 
 
 def test_fewer_points_than_a_motion_needs_leave_the_previous_one():
-    previous, points = Motion(turned(0, 0.01, 0), np.array([0.02, 0, 0])), scene(0, Motion(), LEAST_POINTS)
+    previous, points = Motion(turned(0, 0.01, 0), np.array([0.02, 0, 0])), scene(0, Motion(), 8)
     assert found(tuple(values[1:] for values in points), UNKNOWN, previous) is previous
     assert np.abs(found(points, UNKNOWN, previous).rotation - np.eye(3)).max() < 0.004
 

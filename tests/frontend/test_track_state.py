@@ -166,6 +166,8 @@ def test_update_is_the_kalman_update(seed):
     segments, depths, covariances = random_states(seed)
     errors = line_covariances(np.float32(segments), rng.uniform(0.2, 1.0, len(segments)).astype(np.float32))
     measured = noisy(rng, segments, errors)
+    both = rng.uniform(-0.9, 0.9, len(segments)) * np.sqrt(errors[:, 0, 0] * errors[:, 1, 1])
+    errors[:, 0, 1] = errors[:, 1, 0] = both
     offsets, spread, squares, away = innovations(segments, covariances, measured, errors)
     after, deep, smaller = update(segments, depths, covariances, offsets, spread)
     assert np.array_equal(smaller, smaller.transpose(0, 2, 1))
