@@ -62,7 +62,9 @@ parser.add_argument(
     "--clip", type=Path, metavar="DIR", help="images/, calib.txt, poses.txt (default: the built-in clip)"
 )
 parser.add_argument("--frames", type=int, metavar="N", help="use the first N frames (200 of the built-in clip)")
-parser.add_argument("--baselines", action="store_true", help="also with fused lines, LSD with nearest neighbour, and true lines")
+parser.add_argument(
+    "--baselines", action="store_true", help="also with fused lines, LSD with nearest neighbour, and true lines"
+)
 parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record path and lines for the Rerun viewer")
 options = parser.parse_args()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.errors import InputError
 from airline.image import to_uint8
 from airline.lines import LineSet
 from frontend.frame import Frame
@@ -15,9 +16,9 @@ from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.correction import corrected
 from frontend.tracking.flow import WorkingImage, working_image
-from frontend.tracking.guided import look_for
+from frontend.tracking.guided import MIN_EDGE, look_for
 from frontend.tracking.measurement import with_bias
-from frontend.tracking.overlap import absorbed, parents
+from frontend.tracking.overlap import absorbed, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair
 from frontend.tracking.prediction import camera_of, focal_of, predicted
 from frontend.tracking.seen import Seen, detected
@@ -27,6 +28,7 @@ from frontend.tracking.table import TrackTable, new_tracks, no_tracks
 from frontend.tracks import LineTracks, TrackState
 
 MIN_VISIBLE = 5.0  # px; a track of which less is left in the image ends
+MOST_DOUBLED = 5  # frames in a row that a track may lie on an older one
 FIRST_PATIENCE = 2  # frames that a track may be missed, and half of those in which it was seen
 MAX_INCONSISTENCY, MIN_STABLE = 1.5, 15.0  # of a stable track: most consistency, least length in px
 CUT_FLOW = 0.2  # share of consistent flow below which an image may show another scene,
@@ -61,16 +63,24 @@ class LineTracker:
             frame: the image, in time order.
             lines: its detected lines.
             edges: (H, W) float32 edge probability of the image, on which tracks without a line are looked for.
+
+        Raises:
+            InputError: lines that are not finite, or edges of another size than the image's.
         """
         gray = to_uint8(frame.gray)
+        if not np.isfinite(lines.segments).all():
+            raise InputError("the lines' end points must be finite numbers")
+        if edges is not None and edges.shape != gray.shape:
+            raise InputError(f"the edges are {edges.shape} and the image is {gray.shape}: give both the same size")
+        blind = not len(lines) and (edges is None or not (edges >= MIN_EDGE).any())
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
         camera = camera_of(frame.camera, size)
         seen = detected(lines, gray)
         earlier = no_tracks(seen.features) if self._tracks is None else self._tracks
         tracks, pairs, lengths, noise = earlier, np.full(len(earlier), -1, np.int32), np.full(len(earlier), np.inf), 1.0
         reset = self._reset_reason(frame.stamp_ns, size)
-        if reset is None and len(earlier) and len(lines):
-            ahead = predicted(earlier, image if self._image is None else self._image, image, camera, self._motion)
+        if reset is None and len(earlier) and not blind:
+            ahead = predicted(earlier, image if self._image is None else self._image, image, camera, size, self._motion)
             tracks, lengths, self._motion = ahead.tracks, ahead.lengths, ahead.motion
             pairs = pair(tracks, seen.features, self.config)
             reset = _cut_reason(ahead.trusted, earlier.visible, pairs, len(lines))
@@ -81,11 +91,11 @@ class LineTracker:
         if reset is not None:
             tracks, pairs, lengths = no_tracks(seen.features), np.zeros(0, np.int32), np.zeros(0)
             self._motion = Motion()
-        tracks = corrected(tracks, pairs, seen, edges, self.config, noise)
+        tracks = corrected(tracks, pairs, seen, edges, size, self.config, noise)
         tracks, line_of = self._next(tracks, pairs, seen, frame.index, lengths, focal_of(camera))
-        if len(lines) or reset is not None:
+        if not blind or reset is not None:
             self._image = image
-        else:  # an image without lines says nothing: the tracks wait where they were
+        else:  # an image without any edge says nothing: the tracks wait where they were
             tracks = replace(tracks, visible=earlier.visible[np.searchsorted(earlier.ids, tracks.ids)])
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
@@ -116,6 +126,7 @@ class LineTracker:
         """Those of the tracks that go on, and new ones for the lines that are left; and the line of each."""
         hit = pairs >= 0
         observed = seen.features.segments[pairs[hit]]
+        tracks = tracks.with_rows(hit, {"doubled": np.where(doubles(tracks.segments[hit]), tracks.doubled[hit] + 1, 0)})
         alive = self._alive(tracks, hit, observed, lengths)
         free = np.ones(seen.detected, np.bool_)
         free[pairs[hit & (pairs < seen.detected)]] = False
@@ -132,7 +143,7 @@ class LineTracker:
     def _alive(
         self, tracks: TrackTable, hit: NDArray[np.bool_], observed: NDArray[np.float32], lengths: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """(N,) mask: seen lately, still in the image, and no piece that is part of its whole line again."""
+        """(N,) mask: seen lately, in the image, no piece that is part of its whole line again, not on an older one."""
         confirmed = tracks.hits >= self.config.confirm_hits
         patience = np.minimum(self.config.max_missed, FIRST_PATIENCE + tracks.hits // 2)
         patience = np.where(confirmed, patience, self.config.max_missed_tentative)
@@ -140,7 +151,7 @@ class LineTracker:
         found = np.append(tracks.ids[hit], -2)[place] == tracks.fragment_of
         whole_again = absorbed(tracks.segments, np.where(found & ~hit, place, -1), observed)
         alive: NDArray[np.bool_] = (tracks.missed <= patience) & ~whole_again & (hit | (lengths >= MIN_VISIBLE))
-        return alive
+        return alive & (tracks.doubled <= MOST_DOUBLED)
 
     def _result(
         self,
@@ -167,7 +178,7 @@ class LineTracker:
             scores=seen.scores[rows],
             descriptors=here.descriptors,
             states=np.where(certain, TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
-            ages=(frame.index - here.born).astype(np.int32),
+            ages=np.maximum(frame.index - here.born, 0).astype(np.int32),
             hits=here.hits,
             measured=rows >= seen.detected,
             consistency=consistency,

@@ -111,7 +111,7 @@ class LineTracks:
     observed_covariances: Annotated[
         Float32,
         Field(
-            "of the observed line's errors, as covariances; independent of other frames but for a bias of 0.1 px",
+            "of the observed line's errors, as covariances; independent of other frames but for a bias",
             unit="px^2, px rad, px rad, rad^2",
             shape=(2, 2),
             columns="observed_var_offset observed_cov_offset_angle observed_cov_offset_angle observed_var_angle",

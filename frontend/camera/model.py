@@ -62,8 +62,8 @@ class CameraModel:
             raise ConfigError(
                 f"{self.distortion} distortion takes {expected} coefficients, not {len(self.coefficients)}"
             )
-        if self.fx <= 0 or self.fy <= 0:
-            raise ConfigError("focal lengths must be positive pixels")
+        if not (np.isfinite((self.fx, self.fy, self.cx, self.cy)).all() and self.fx > 0 and self.fy > 0):
+            raise ConfigError("focal lengths must be positive pixels, and the principal point finite ones")
 
     @property
     def matrix(self) -> NDArray[np.float64]:

@@ -17,8 +17,8 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes:
         confirm_hits: a track is confirmed when it was seen in this many frames.
-        max_missed: a confirmed track ends when it was not seen in more than this many frames in a row, and no more than
-            half of those in which it was seen;
+        max_missed: a confirmed track ends when it was not seen in more than 2 frames in a row and half of those in
+            which it was seen, at the latest after this many;
         max_missed_tentative: and a tentative one after this many.
         band: a line may be this far from where its track is predicted, px, and three standard deviations of that,
         max_band: up to this, max_lost_band: and up to that for a track that was missed.
@@ -56,5 +56,5 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def __post_init__(self) -> None:
         if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.max_lines) < 0:
             raise ConfigError("tracker needs confirm_hits >= 1, and max_missed and max_lines of at least 0")
-        if self.band <= 0 or min(self.max_band, self.max_lost_band) < self.band or self.max_gap_s <= 0:
-            raise ConfigError("tracker needs band > 0, max_band >= band and max_gap_s > 0")
+        if not (0 < self.band <= min(self.max_band, self.max_lost_band) and self.gate > 0 and self.max_gap_s > 0):
+            raise ConfigError("tracker needs band > 0, max_band and max_lost_band >= band, gate > 0 and max_gap_s > 0")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.guided import supported
+from frontend.tracking.measurement import visible_parts
 from frontend.tracking.pairing import Pairs
 from frontend.tracking.seen import Seen
 from frontend.tracking.state import innovations, slide, update, usual_extents
@@ -23,6 +24,7 @@ def corrected(
     pairs: Pairs,
     seen: Seen,
     edges: NDArray[np.float32] | None,
+    size: tuple[int, int],
     config: TrackerConfig,
     noise: float,
 ) -> TrackTable:
@@ -36,6 +38,7 @@ def corrected(
         pairs: their lines.
         seen: these lines.
         edges: (H, W) float32 edge probability, where it is known.
+        size: width and height of the image, px.
         noise: of the frame, see `pairing.gated`.
     """
     hit = pairs >= 0
@@ -49,7 +52,10 @@ def corrected(
     extents = usual_extents(ends)
     if edges is not None:
         extents = supported(edges, segments, ends[:, :, -1], extents)
-    low, high = np.ascontiguousarray(extents.T)
+    start, delta = segments[:, :1], segments[:, 1:] - segments[:, :1]
+    first, last, _ = visible_parts(start + extents[:, :, None] * delta, size)
+    reach = (extents[:, 1] - extents[:, 0])[:, None] * np.stack([first, last], axis=1)
+    low, high = np.ascontiguousarray((extents[:, :1] + reach).T)
     segments, depths, covariances = slide(segments, depths, covariances, low, high)
     values = {
         "segments": segments,

@@ -56,12 +56,12 @@ def with_bias(covariances: NDArray[np.float32], across: NDArray[np.float32]) -> 
 
 
 def visible_parts(
-    segments: NDArray[np.float32], size: tuple[int, int]
+    segments: NDArray[np.floating], size: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Which parts of segments lie inside the image.
 
     Args:
-        segments: (N, 2, 2) float32 px.
+        segments: (N, 2, 2) px.
         size: (width, height), px.
 
     Returns:

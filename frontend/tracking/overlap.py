@@ -235,6 +235,12 @@ def absorbed(
     return mask
 
 
+def doubles(segments: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(N,) mask of the (N, 2, 2) segments, px, that lie on one before them."""
+    mask: NDArray[np.bool_] = covered(segments, segments[:0])
+    return mask
+
+
 @njit()
 def covered(found: NDArray[np.float32], lines: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Which lines lie on one of others, or on one before them.

@@ -32,7 +32,7 @@ class Prediction:
     """Tracks moved to where they should be in the next image.
 
     Attributes:
-        tracks: the tracks; of those that left the image nothing is moved.
+        tracks: the tracks, without their parts that left the image; of those that left it whole nothing is cut off.
         lengths: (N,) px inside the image.
         motion: of the camera.
         trusted: share in [0, 1] of the points whose flow was consistent.
@@ -58,7 +58,12 @@ def focal_of(camera: CameraModel) -> float:
 
 
 def predicted(
-    tracks: TrackTable, before: WorkingImage, after: WorkingImage, camera: CameraModel, previous: Motion
+    tracks: TrackTable,
+    before: WorkingImage,
+    after: WorkingImage,
+    camera: CameraModel,
+    size: tuple[int, int],
+    previous: Motion,
 ) -> Prediction:
     """Move tracks from one image to the next.
 
@@ -69,7 +74,8 @@ def predicted(
     points, used, places = _points(tracks)
     start = np.concatenate([points[used], _grid(before)])
     moved, consistent = flow(before, after, start)
-    planes = _to_plane(camera, np.stack([start, moved]))
+    planes, beyond = _to_plane(camera, np.stack([start, moved]))
+    consistent &= ~beyond.any(axis=0)
     depths, errors = _depths(tracks, used, places, len(start))
     focal, noise = focal_of(camera), FLOW_NOISE * float(before.factor.max())
     trusted = [values[consistent].astype(np.float32) for values in (*planes, depths, errors)]
@@ -77,8 +83,9 @@ def predicted(
     flows, known = np.zeros((2, *points.shape)), np.zeros(points.shape[:2], np.bool_)
     count = int(used.sum())
     flows[:, used], known[used] = planes[:, :count], consistent[:count]
+    ends, beyond = _to_plane(camera, tracks.segments)
     ends, deep, covariances, across = predict(
-        _to_plane(camera, tracks.segments),
+        ends,
         tracks.depths,
         tracks.covariances,
         places,
@@ -88,8 +95,8 @@ def predicted(
         noise,
     )
     deep, covariances, motion = _in_unit(deep, covariances, motion, tracks.hits)
-    segments = _to_pixels(camera, ends)
-    low, high, lengths = visible_parts(segments.astype(np.float32), (camera.width, camera.height))
+    segments = _to_pixels(camera, ends, beyond)
+    low, high, lengths = visible_parts(segments, size)
     segments, deep, covariances = slide(segments, deep, covariances, low, high)
     part = (high - low)[:, None, None]
     gone = replace(
@@ -98,7 +105,6 @@ def predicted(
         depths=deep.astype(np.float32),
         covariances=covariances.astype(np.float32),
         ends=((tracks.ends - low[:, None, None]) / part).astype(np.float32),
-        visible=np.asarray(known.any(axis=1)),
         across=across.astype(np.float32),
     )
     return Prediction(gone, lengths, motion, float(consistent.mean()))
@@ -161,18 +167,23 @@ def _in_unit(
     return depths / unit, covariances * scale * scale[:, None], replace(motion, translation=motion.translation * unit)
 
 
-def _to_plane(camera: CameraModel, points: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Points on the plane z = 1; as of a pinhole camera where the lens model ends."""
+def _to_plane(camera: CameraModel, points: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Points on the plane z = 1, as of a pinhole camera where the lens model ends; and the mask of these."""
     pinhole = (points.astype(np.float64) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     if camera.distortion == "none":
-        return pinhole
+        return pinhole, np.zeros(points.shape[:-1], np.bool_)
     plane = camera.normalize(points).astype(np.float64)
-    return np.where(np.isfinite(plane), plane, pinhole)
+    beyond: NDArray[np.bool_] = ~np.asarray(np.isfinite(plane).all(axis=-1))
+    plane[beyond] = pinhole[beyond]
+    return plane, beyond
 
 
-def _to_pixels(camera: CameraModel, planes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_pixels(camera: CameraModel, planes: NDArray[np.float64], beyond: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The inverse of `_to_plane`; what was beyond the lens model is projected as it was then."""
     pinhole = planes * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     if camera.distortion == "none":
         return pinhole
     pixels = camera.project(planes).astype(np.float64)
-    return np.where(np.isfinite(pixels), pixels, pinhole)
+    beyond = beyond | ~np.isfinite(pixels).all(axis=-1)
+    pixels[beyond] = pinhole[beyond]
+    return pixels

@@ -31,6 +31,7 @@ class TrackTable:
         hits: (N,) int32 frames in which the track was seen.
         missed: (N,) int32 frames since it was last seen.
         visible: (N,) bool, seen in the image that the tracker last used.
+        doubled: (N,) int32 frames in a row in which it lay on an older track.
         across: (N,) float32 px that the line moved across itself since the last frame.
         surprise: (N,) float32 recent mean of the squared innovation over what its covariance lets expect.
         fragment_of: (N,) int64 id of the track whose line this is a piece of, -1 for none.
@@ -48,6 +49,7 @@ class TrackTable:
     hits: NDArray[np.int32]
     missed: NDArray[np.int32]
     visible: NDArray[np.bool_]
+    doubled: NDArray[np.int32]
     across: NDArray[np.float32]
     surprise: NDArray[np.float32]
     fragment_of: NDArray[np.int64]
@@ -113,6 +115,7 @@ def new_tracks(
         hits=np.ones(count, np.int32),
         missed=np.zeros(count, np.int32),
         visible=np.ones(count, np.bool_),
+        doubled=np.zeros(count, np.int32),
         across=np.zeros(count, np.float32),
         surprise=np.ones(count, np.float32),
         fragment_of=parents,
