@@ -62,18 +62,17 @@ parser.add_argument(
     "--clip", type=Path, metavar="DIR", help="images/, calib.txt, poses.txt (default: the built-in clip)"
 )
 parser.add_argument("--frames", type=int, metavar="N", help="use the first N frames (200 of the built-in clip)")
-parser.add_argument(
-    "--baselines", action="store_true", help="also with fused lines, LSD with nearest neighbour, and true lines"
-)
+parser.add_argument("--baselines", action="store_true", help="also LSD with nearest neighbour, and true lines")
+parser.add_argument("--fused", action="store_true", help="also with lines fused over the frames")
 parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record path and lines for the Rerun viewer")
 options = parser.parse_args()
-baselines = options.baselines
+baselines, ours = options.baselines, [OURS, FUSED] if options.fused else [OURS]
 try:
     if options.clip is not None:
-        clip = posed(options.clip, options.frames, [OURS, FUSED, LSD] if baselines else [OURS])
+        clip = posed(options.clip, options.frames, [*ours, LSD] if baselines else ours)
     else:
-        clip = built_in(options.frames or 200, [OURS, FUSED, TRUE_LINES, LSD] if baselines else [OURS])
+        clip = built_in(options.frames or 200, [*ours, TRUE_LINES, LSD] if baselines else ours)
     results = {name: run(clip, name, options.save if name == OURS else None) for name in clip.views}
     write_json(options.json, results)
 except AirLineError as error:

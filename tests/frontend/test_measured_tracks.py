@@ -68,7 +68,7 @@ def test_what_was_not_seen_for_long_is_not_looked_for():
 
 
 def test_a_track_is_not_measured_on_a_line_that_looks_otherwise_or_that_another_has():
-    inverted = (200 - drawn(4, LINES).image.astype(int)).astype(np.uint8)
+    inverted = (220 - drawn(4, LINES).image.astype(int)).astype(np.uint8)
     tracks = step(begin(), 4, LINES, LINES[:0], LINES, image=inverted)
     assert tracks.ids.tolist() == [], "dark lines where there were bright ones"
     pieces = np.concatenate([LINES[:3], [[[50, 145], [110, 142.7]], [[115, 142.5], [180, 140]]]])

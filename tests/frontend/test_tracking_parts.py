@@ -76,7 +76,7 @@ def test_prediction_follows_a_turning_camera(camera, followed):
     before, after = (working_image(view(camera, rotation)) for rotation in (np.eye(3), turn))
     lines = some_lines(40)
     tracks = replace(tracks_of(lines), visible=np.full(40, followed))
-    ahead = predicted(tracks, before, after, camera, Motion())
+    ahead = predicted(tracks, before, after, camera, (camera.width, camera.height), Motion())
     expected = moved_with(camera, turn, lines.reshape(-1, 2)).reshape(-1, 2, 2)
     assert np.abs(expected - lines).max() > 30
     away = np.abs(ahead.tracks.segments - expected).max()
@@ -91,8 +91,8 @@ def test_depths_are_in_the_unit_of_the_scene():
     """What one camera sees is the same if all is twice as far away and it moves twice as far."""
     far, new = np.full((40, 2), 1.3, np.float32), tracks_of(some_lines(40))
     motion, dark = Motion(np.eye(3), np.array([0.05, 0.02, 0.01])), working_image(np.zeros((480, 640), np.uint8))
-    kept = predicted(replace(new, depths=far), dark, dark, CAMERA, motion)
-    scaled = predicted(replace(new, depths=far, hits=np.full(40, 3, np.int32)), dark, dark, CAMERA, motion)
+    kept = predicted(replace(new, depths=far), dark, dark, CAMERA, (640, 480), motion)
+    scaled = predicted(replace(new, depths=far, hits=np.full(40, 3, np.int32)), dark, dark, CAMERA, (640, 480), motion)
     unit = 1.3 / (1 + 1.3 * 0.01)
     assert np.median(kept.tracks.depths) == pytest.approx(unit), "while the lines are new"
     assert np.median(scaled.tracks.depths) == pytest.approx(DEPTH)
