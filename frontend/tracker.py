@@ -15,8 +15,9 @@ from frontend.history import Confirmations
 from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.correction import corrected
+from frontend.tracking.extents import MIN_EDGE
 from frontend.tracking.flow import WorkingImage, working_image
-from frontend.tracking.guided import MIN_EDGE, look_for
+from frontend.tracking.guided import look_for
 from frontend.tracking.measurement import with_bias
 from frontend.tracking.overlap import absorbed, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
 
-LEAST_POINTS, MOST_POINTS = 8, 160
+LEAST_POINTS, MOST_POINTS = 5, 160
 STEPS = 10
+MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 LEAST_DAMPING = 1e-6  # where the points say nothing of a turn, for one when all are in the same place
 SETTLED = 3e-5  # change of the motion, radians, at which they end
 MAX_ERROR = 1.5  # of a motion that is believed
@@ -102,7 +103,7 @@ def _align(before, after, depths, errors, noise, R, T, free):  # type: ignore[no
         if not moved or np.sqrt((step * step).sum()) < SETTLED:
             break
     cost = _cost(before, after, depths, errors, noise, R, T, TIGHT * TIGHT, squares)
-    return R, T, np.sqrt(np.median(squares) / 1.386), cost  # 1.386: median of a chi-square of two degrees of freedom
+    return R, T, np.sqrt(np.median(squares) / MEDIAN_SQUARE), cost
 
 
 @njit(inline="always")

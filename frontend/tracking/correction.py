@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.tracking.config import TrackerConfig
-from frontend.tracking.guided import supported
-from frontend.tracking.measurement import visible_parts
+from frontend.tracking.extents import supported, usual_extents, visible_parts
 from frontend.tracking.pairing import Pairs
 from frontend.tracking.seen import Seen
-from frontend.tracking.state import innovations, slide, update, usual_extents
+from frontend.tracking.state import innovations, slide, update
 from frontend.tracking.table import TrackTable
 
 MEMORY = 0.5  # weight of the past in a track's profile,

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from airline.stages.score_parts import bilinear
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.config import TrackerConfig
+from frontend.tracking.extents import MIN_EDGE
 from frontend.tracking.measurement import MEASURED, line_covariances
 from frontend.tracking.overlap import LineFeatures, covered
 from frontend.tracking.pairing import Pairs
@@ -25,8 +27,6 @@ STEP = 3.0  # px between stations along the line
 LEAST, MOST = 5, 60  # stations of a line
 ACROSS = 1.0  # px between samples across it
 RIDGE = 0.75  # samples that the top of a ridge may be from the strongest, which is the nearer one of two alike
-MIN_EDGE = 0.15  # probability of an edge, as the detector's threshold
-GAP = 5.0  # px without an edge that do not end a line
 NEAR = 0.75  # px, of stations that agree with the line
 ROUNDS = 5  # of the fit
 
@@ -104,8 +104,7 @@ def measure(
 
 @njit()
 def _measure(edges, segments, bands, residuals, support, strength):  # type: ignore[no-untyped-def]
-    height, width = edges.shape
-    offset, value, weight = np.empty(MOST), np.empty(MOST), np.empty(MOST)
+    offset, value = np.empty(MOST), np.empty(MOST)
     for n in range(len(segments)):
         x0, y0 = np.float64(segments[n, 0, 0]), np.float64(segments[n, 0, 1])
         dx, dy = segments[n, 1, 0] - x0, segments[n, 1, 1] - y0
@@ -120,74 +119,25 @@ def _measure(edges, segments, bands, residuals, support, strength):  # type: ign
             x, y = x0 + t * ux, y0 + t * uy
             best, place = 0.0, 0
             for j in range(-half, half + 1):
-                e = _edge(edges, width, height, x - j * ACROSS * uy, y + j * ACROSS * ux)
+                e = bilinear(edges, x - j * ACROSS * uy, y + j * ACROSS * ux)
                 e *= 1 - 0.3 * abs(j) / (half + 1)
                 if e > best:
                     best, place = e, j
-            here = _edge(edges, width, height, x - place * ACROSS * uy, y + place * ACROSS * ux)
+            here = bilinear(edges, x - place * ACROSS * uy, y + place * ACROSS * ux)
             value[k] = here
             offset[k] = place * ACROSS
-            a = _edge(edges, width, height, x - (place - 1) * ACROSS * uy, y + (place - 1) * ACROSS * ux)
-            b = _edge(edges, width, height, x - (place + 1) * ACROSS * uy, y + (place + 1) * ACROSS * ux)
+            a = bilinear(edges, x - (place - 1) * ACROSS * uy, y + (place - 1) * ACROSS * ux)
+            b = bilinear(edges, x - (place + 1) * ACROSS * uy, y + (place + 1) * ACROSS * ux)
             curvature = 2 * here - a - b
             if here < MIN_EDGE or curvature <= 0 or abs(b - a) > 2 * RIDGE * curvature:
                 value[k] = 0  # no ridge runs along here
             else:
                 offset[k] += ACROSS * 0.5 * (b - a) / curvature
-        _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength)
+        _fit(n, segments, offset, value, count, length, ux, uy, residuals, support, strength)
 
 
 @njit()
-def supported(edges, segments, inner, outer):  # type: ignore[no-untyped-def]
-    """How far lines reach along an edge beyond where they were seen, over gaps of 5 px.
-
-    Args:
-        edges: (H, W) float32 edge probability.
-        segments: (N, 2, 2) px.
-        inner: (N, 2) places along the segments, from 0 to 1, between which they were seen.
-        outer: (N, 2) places up to which they may reach.
-
-    Returns:
-        (N, 2) places: the outer ones where they lie inside, otherwise as far from the inner ones as the edge goes.
-    """
-    height, width = edges.shape
-    reached = outer.copy()
-    for n in range(len(segments)):
-        x0, y0 = segments[n, 0, 0], segments[n, 0, 1]
-        dx, dy = segments[n, 1, 0] - x0, segments[n, 1, 1] - y0
-        length = max(np.hypot(dx, dy), 1e-6)
-        nx, ny = -dy / length, dx / length
-        for end in range(2):
-            outwards = 2 * end - 1
-            place, last = inner[n, end], inner[n, end]
-            while outwards * (outer[n, end] - place) > 0:
-                place += outwards / length
-                x, y = x0 + place * dx, y0 + place * dy
-                here = 0.0
-                for j in range(-1, 2):
-                    here = max(here, _edge(edges, width, height, x + j * nx, y + j * ny))
-                if here >= MIN_EDGE:
-                    last = place
-                elif abs(place - last) * length > GAP:
-                    break
-            if outwards * (outer[n, end] - last) > 0:
-                reached[n, end] = last
-    return reached
-
-
-@njit(inline="always")
-def _edge(edges, width, height, x, y):  # type: ignore[no-untyped-def]
-    if not (0 <= x < width - 1 and 0 <= y < height - 1):
-        return 0.0
-    column, row = int(x), int(y)
-    fx, fy = x - column, y - row
-    top = edges[row, column] + fx * (edges[row, column + 1] - edges[row, column])
-    low = edges[row + 1, column] + fx * (edges[row + 1, column + 1] - edges[row + 1, column])
-    return top + fy * (low - top)
-
-
-@njit()
-def _fit(n, segments, offset, value, weight, count, length, ux, uy, residuals, support, strength):  # type: ignore[no-untyped-def]
+def _fit(n, segments, offset, value, count, length, ux, uy, residuals, support, strength):  # type: ignore[no-untyped-def]
     """Fit offset = a + b s, s from -1/2 to 1/2 along the line, and write down the line that follows."""
     votes = 0
     for k in range(count):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.tracking.assignment import assign
+from frontend.tracking.camera_motion import MEDIAN_SQUARE
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.overlap import LineFeatures, overlap_votes
 from frontend.tracking.seen import Seen
@@ -16,7 +17,6 @@ Pairs = NDArray[np.int32]  # row of the line that each track goes on with, or -1
 
 LATELY = 1  # frames that a confirmed track may have been missed and still choose with those just seen
 LEAST_PAIRS = 10  # from which the noise of a frame is told
-MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 NEAR_ENOUGH = 1.0  # px; lines that end no farther from their track pass the gate,
 MOST_SURPRISE = 4.0  # as long as the track's recent squared innovations are no more than this
 CALM_SQUARE = 5.0  # squared innovation that casts no doubt on a line that looks unlike its track at its birth

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from frontend.camera.model import CameraModel
 from frontend.tracking.camera_motion import Motion, camera_motion
+from frontend.tracking.extents import visible_parts
 from frontend.tracking.flow import WorkingImage, flow
-from frontend.tracking.measurement import visible_parts
 from frontend.tracking.state import DEPTH, DEPTH_ERROR, predict, slide
 from frontend.tracking.table import TrackTable
 

@@ -18,7 +18,7 @@ from frontend.tracking.camera_motion import Motion
 
 DEPTH, DEPTH_ERROR = 1.0, 1.0  # inverse depth of a new line, in that of the scene, and its standard deviation
 SLOPE = 2.0  # by how much inverse depth changes along a line as long as the focal length, in its own unit
-STILL, PER_PIXEL = 0.12, 0.01  # px, error of a prediction: always, and per px of motion
+STILL, MOVING, PER_PIXEL = 0.03, 0.09, 0.01  # px, error of a prediction: always, of a motion of 1 px, and per px
 DEPTH_WALK = 0.01  # of inverse depth from frame to frame: what the motion's error makes of it
 FLOW_GATE = 9.0  # squared error of flow over its variance, above which it shows something else
 
@@ -122,7 +122,7 @@ def _doubles(*arrays: NDArray[Any]) -> list[Array]:
 def _predict(planes, depths, covariances, places, starts, ends, known, R, T, focal, flow_noise, inflation):  # type: ignore[no-untyped-def]
     across = np.zeros(len(planes))
     planes, depths, covariances = planes.copy(), depths.copy(), covariances.copy()
-    h, gain = np.zeros(4, np.float64), np.empty(4, np.float64)
+    gain = np.empty(4, np.float64)
     F = np.eye(4)
     for n in range(len(planes)):
         P = covariances[n]
@@ -135,11 +135,10 @@ def _predict(planes, depths, covariances, places, starts, ends, known, R, T, foc
             px, py, gx, gy, _ = _moved(starts[n, k, 0], starts[n, k, 1], depth, R, T)
             error = focal * (nx * (ends[n, k, 0] - px) + ny * (ends[n, k, 1] - py))
             g = focal * (nx * gx + ny * gy)
-            h[2], h[3] = (1 - s) * g, s * g
-            variance = flow_noise**2
+            first, second = (1 - s) * g, s * g
             for row in range(4):
-                gain[row] = P[row, 2] * h[2] + P[row, 3] * h[3]
-            variance += gain[2] * h[2] + gain[3] * h[3]
+                gain[row] = P[row, 2] * first + P[row, 3] * second
+            variance = flow_noise**2 + gain[2] * first + gain[3] * second
             if error * error > FLOW_GATE * variance:
                 continue
             gain /= variance
@@ -163,7 +162,7 @@ def _predict(planes, depths, covariances, places, starts, ends, known, R, T, foc
         across[n] = 0.5 * focal * abs(after - before)
         _congruence(F, P)
         for k in range(2):
-            P[k, k] += (inflation * (STILL + PER_PIXEL * motion)) ** 2
+            P[k, k] += (inflation * (STILL + MOVING * min(1.0, motion) + PER_PIXEL * motion)) ** 2
             P[2 + k, 2 + k] += (inflation * DEPTH_WALK) ** 2
     return planes, depths, covariances, across
 
@@ -287,19 +286,3 @@ def _slide(segments, depths, covariances, low, high):  # type: ignore[no-untyped
         depths[n, 0], depths[n, 1] = (1 - a) * first + a * last, (1 - b) * first + b * last
         _congruence(M, covariances[n])
     return segments, depths, covariances
-
-
-@njit()
-def usual_extents(ends):  # type: ignore[no-untyped-def]
-    """(N, 2) medians of (N, 2, K) places where lines began and ended; NaN where they were not seen."""
-    usual = np.empty(ends.shape[:2], np.float64)
-    known = np.empty(ends.shape[2], np.float64)
-    for n in range(len(ends)):
-        for end in range(2):
-            count = 0
-            for k in range(ends.shape[2]):
-                if not np.isnan(ends[n, end, k]):
-                    known[count] = ends[n, end, k]
-                    count += 1
-            usual[n, end] = np.median(known[:count])
-    return usual

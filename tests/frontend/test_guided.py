@@ -7,7 +7,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from frontend.tracking.guided import GAP, SHORTEST, measure, supported
+from frontend.tracking.extents import GAP, supported
+from frontend.tracking.guided import SHORTEST, measure
 from tests.helpers.tracking_frames import EDGE, edge_map
 
 WIDTH, HEIGHT = 200, 160

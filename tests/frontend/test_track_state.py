@@ -14,6 +14,7 @@ from frontend.tracking.measurement import line_covariances
 from frontend.tracking.state import (
     DEPTH,
     DEPTH_WALK,
+    MOVING,
     PER_PIXEL,
     STILL,
     innovations,
@@ -92,7 +93,8 @@ def test_lines_in_space_are_learned_and_their_errors_known(seed):
     squares = []
     for _ in range(10):
         planes, true_depths = moved(to_plane(truth), true_depths, MOTION)
-        still = STILL + PER_PIXEL * np.abs(from_plane(planes) - truth).max(axis=(1, 2))
+        shift = np.abs(from_plane(planes) - truth).max(axis=(1, 2))
+        still = STILL + MOVING * np.minimum(1, shift) + PER_PIXEL * shift
         truth = from_plane(planes) + rng.normal(0, 1, (count, 2, 1)) * still[:, None, None] * normals(planes)[:, None]
         true_depths += rng.normal(0, DEPTH_WALK, (count, 2))
         unknown = np.zeros((count, 2)), no_flow(count)
@@ -133,7 +135,8 @@ def test_prediction_is_the_projection_and_its_covariance_that_of_the_linearised_
             jacobian[k, 2 + k] = (more[0, k] - true_planes[n, k]) @ normals(true_planes)[n] * FOCAL / 1e-6
             jacobian[2 + k, 2 + k] = jacobian[k, k] = true_depths[n, k] / depths[n, k]
         moves = np.abs(true_planes[n] - planes[n])
-        walk = STILL + PER_PIXEL * FOCAL * np.hypot(*moves.T).max()
+        shift = FOCAL * np.hypot(*moves.T).max()
+        walk = STILL + MOVING * min(1, shift) + PER_PIXEL * shift
         noise = np.diag([walk**2, walk**2, DEPTH_WALK**2, DEPTH_WALK**2])
         assert np.allclose(grown[n], jacobian @ covariances[n] @ jacobian.T + noise, rtol=1e-4, atol=1e-6)
 

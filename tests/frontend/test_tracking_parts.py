@@ -16,8 +16,9 @@ from frontend.camera.model import CameraModel
 from frontend.tracking.appearance import OFFSETS, side_profiles
 from frontend.tracking.assignment import assign
 from frontend.tracking.camera_motion import Motion
+from frontend.tracking.extents import visible_parts
 from frontend.tracking.flow import flow, working_image
-from frontend.tracking.measurement import line_covariances, visible_parts
+from frontend.tracking.measurement import line_covariances
 from frontend.tracking.overlap import LineFeatures, covered, overlap_votes, parents
 from frontend.tracking.prediction import focal_of, predicted
 from frontend.tracking.state import DEPTH, new_covariances
