@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from airline import InputError
 from frontend import Frame, LineTracker, LineTracks, TrackerConfig, TrackState
 from tests.helpers.tracking_frames import drawn, edge_map, frame, line_set
 
@@ -68,7 +69,7 @@ def test_what_was_not_seen_for_long_is_not_looked_for():
 
 
 def test_a_track_is_not_measured_on_a_line_that_looks_otherwise_or_that_another_has():
-    inverted = (220 - drawn(4, LINES).image.astype(int)).astype(np.uint8)
+    inverted = 255 - drawn(4, LINES).image
     tracks = step(begin(), 4, LINES, LINES[:0], LINES, image=inverted)
     assert tracks.ids.tolist() == [], "dark lines where there were bright ones"
     pieces = np.concatenate([LINES[:3], [[[50, 145], [110, 142.7]], [[115, 142.5], [180, 140]]]])
@@ -174,6 +175,31 @@ def test_nothing_moves_while_there_is_nothing_to_see():
         assert np.allclose(blind.lost_segments_px, LINES, atol=0.5)
     assert step(tracker, 7, LINES, LINES, LINES).ids.tolist() == [0, 1, 2, 3]
     assert tracker.update(frame(8, size=(180, 160)), line_set(LINES)).reset is not None
+
+
+def test_of_two_tracks_that_lie_on_each_other_the_older_goes_on():
+    tracker, double = begin(6), np.concatenate([LINES, LINES[3:] + [0, 0.4]])
+    for index in range(6, 13):
+        tracks = step(tracker, index, LINES, double, LINES)
+        assert tracks.ids.tolist()[:4] == [0, 1, 2, 3]
+        assert tracks.ended_ids.tolist() == ([4] if index == 12 else [])
+
+
+def test_lines_and_edges_that_cannot_be_are_refused():
+    tracker = begin()
+    with pytest.raises(InputError, match=r"\(160, 200\)"):
+        tracker.update(drawn(4, LINES), line_set(LINES), edge_map(LINES, (100, 80)))
+    with pytest.raises(InputError, match="finite"):
+        step(tracker, 4, LINES, LINES + [np.nan, 0], LINES)
+    assert step(tracker, 4, LINES, LINES, LINES).ids.tolist() == [0, 1, 2, 3], "and change nothing"
+
+
+def test_without_detected_lines_an_edge_map_is_enough():
+    tracker = begin()
+    for index in range(4, 8):
+        tracks = step(tracker, index, LINES, LINES[:0], LINES)
+        assert tracks.ids.tolist() == [0, 1, 2, 3]
+        assert tracks.measured.all()
 
 
 def test_short_lived_tracks_are_forgotten_by_the_setting():

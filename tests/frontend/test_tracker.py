@@ -234,7 +234,9 @@ def test_promises_on_random_lines(seed, frames):
     assert runs[0] == runs[1], "the same stream gives the same tracks"
 
 
-@pytest.mark.parametrize("settings", [{"band": 0}, {"confirm_hits": 0}, {"max_gap_s": 0}, {"max_lines": -1}])
+@pytest.mark.parametrize(
+    "settings", [{"band": 0}, {"confirm_hits": 0}, {"max_gap_s": 0}, {"max_lines": -1}, {"gate": 0}]
+)
 def test_refuses_impossible_settings(settings):
     with pytest.raises(ConfigError, match=next(iter(settings))):
         TrackerConfig(**settings)
