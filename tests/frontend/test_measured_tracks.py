@@ -72,6 +72,9 @@ def test_a_track_is_not_measured_on_a_line_that_looks_otherwise_or_that_another_
     inverted = 255 - drawn(4, LINES).image
     tracks = step(begin(), 4, LINES, LINES[:0], LINES, image=inverted)
     assert tracks.ids.tolist() == [], "dark lines where there were bright ones"
+    wall = cv2.fillConvexPoly(drawn(4, LINES).image, np.array([[50, 145], [180, 140], [180, 159], [50, 159]]), 200)
+    tracks = step(begin(), 4, LINES, LINES[:3], LINES, image=wall)
+    assert tracks.ids.tolist() == [0, 1, 2], "an edge where there was a line"
     pieces = np.concatenate([LINES[:3], [[[50, 145], [110, 142.7]], [[115, 142.5], [180, 140]]]])
     tracker = LineTracker()
     for index in range(4):
