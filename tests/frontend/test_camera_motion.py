@@ -104,7 +104,7 @@ def test_a_motion_that_no_points_make_is_not_believed():
 
 
 def test_fewer_points_than_a_motion_needs_leave_the_previous_one():
-    previous, points = Motion(turned(0, 0.01, 0), np.array([0.02, 0, 0])), scene(0, Motion(), 8)
+    previous, points = Motion(turned(0, 0.01, 0), np.array([0.02, 0, 0])), scene(0, Motion(), LEAST_POINTS)
     assert found(tuple(values[1:] for values in points), UNKNOWN, previous) is previous
     assert np.abs(found(points, UNKNOWN, previous).rotation - np.eye(3)).max() < 0.004
 
