@@ -18,7 +18,7 @@ LEAST_POINTS, MOST_POINTS = 5, 160
 STEPS = 10
 MEDIAN_SQUARE = 1.386  # of a chi-square of two degrees of freedom
 LEAST_DAMPING = 1e-6  # where the points say nothing of a turn, for one when all are in the same place
-SETTLED = 3e-5  # change of the motion, radians, at which they end
+SMALLEST_STEP = 3e-5  # change of the motion, radians, at which they end
 MAX_ERROR = 1.5  # of a motion that is believed
 SHIFT = 0.06  # of a start, in depths of the scene
 LONGEST = 0.5  # of a translation, in depths of the scene, standard deviation
@@ -100,7 +100,7 @@ def _align(before, after, depths, errors, noise, R, T, free):  # type: ignore[no
                 R, T, cost, moved, damping = turned, shifted, now, True, 0.2 * damping
                 break
             damping = max(20 * damping, 1e-2)
-        if not moved or np.sqrt((step * step).sum()) < SETTLED:
+        if not moved or np.sqrt((step * step).sum()) < SMALLEST_STEP:
             break
     cost = _cost(before, after, depths, errors, noise, R, T, TIGHT * TIGHT, squares)
     return R, T, np.sqrt(np.median(squares) / MEDIAN_SQUARE), cost

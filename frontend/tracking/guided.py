@@ -20,7 +20,7 @@ from frontend.tracking.seen import Seen
 from frontend.tracking.state import innovations
 from frontend.tracking.table import TrackTable
 
-PATIENCE = 3  # frames without the line after which it is not looked for any more
+LOOKED_FOR = 3  # frames without the line after which it is not looked for any more
 SHORTEST = 8.0  # px, of a line that is looked for
 MAX_BAND = np.float32(3.0)  # px
 STEP = 3.0  # px between stations along the line
@@ -56,7 +56,7 @@ def look_for(
     Returns:
         The pairs and lines with those that were found.
     """
-    rows = np.flatnonzero((pairs < 0) & (lengths >= SHORTEST) & (tracks.missed <= PATIENCE))
+    rows = np.flatnonzero((pairs < 0) & (lengths >= SHORTEST) & (tracks.missed <= LOOKED_FOR))
     alone = tracks.take(rows)
     segments, residuals, support, strength = measure(edges, alone.segments, np.minimum(1 + 2 * alone.spread, MAX_BAND))
     delta, profiles = segments[:, 1] - segments[:, 0], side_profiles(gray, segments)

@@ -146,10 +146,10 @@ def _depths(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(count,) inverse depths of the used points and of those of the grid, and their standard deviations."""
     depths, errors = np.full(count, DEPTH, np.float32), np.full(count, DEPTH_ERROR, np.float32)
-    weights = np.stack([1 - places, places], axis=2)
-    own = np.einsum("nke,ne->nk", weights, tracks.depths)[used]
-    spread = np.einsum("nke,nef,nkf->nk", weights, tracks.covariances[:, 2:, 2:], weights)[used]
-    depths[: len(own)], errors[: len(own)] = own, np.sqrt(np.maximum(spread, 1e-6))
+    rows, last = np.nonzero(used)[0], places[used]
+    first, (near, far), P = 1 - last, tracks.depths[rows].T, tracks.covariances[rows, 2:, 2:]
+    spread = first**2 * P[:, 0, 0] + 2 * first * last * P[:, 0, 1] + last**2 * P[:, 1, 1]
+    depths[: len(rows)], errors[: len(rows)] = first * near + last * far, np.sqrt(np.maximum(spread, 1e-6))
     return depths, np.minimum(errors, MOST_DEPTH_ERROR)
 
 
