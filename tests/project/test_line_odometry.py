@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from airline.scenes import RenderedClip
 from frontend.sources.scene import frame_of
 from line_odometry.adjust import adjust, costs
-from line_odometry.clips import FUSED, LSD, OURS, TRUE_LINES, built_in
+from line_odometry.clips import LSD, OURS, TRUE_LINES, built_in
 from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
 from line_odometry.odometry import LineOdometry
 from line_odometry.pose import pose_from_lines
@@ -206,7 +206,7 @@ def figures_of(folder: Path, *arguments: object) -> tuple[dict[str, dict[str, fl
 
 def test_the_command_writes_what_it_prints(tmp_path):
     figures, printed = figures_of(tmp_path, "--frames", "60", "--baselines")
-    assert figures.keys() == {OURS, FUSED, LSD, TRUE_LINES}
+    assert figures.keys() == {OURS, LSD, TRUE_LINES}
     for row in figures.values():
         assert {"ate_percent", "rotation_deg", "mapped_length_percent", "mapped_precision_percent"} <= row.keys()
         error = row["ate_percent"]
