@@ -40,7 +40,8 @@ def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def
     """Group by group: what is reached from a row over pairs with enough votes."""
     n, m = votes.shape
     chosen = np.full(n, -1, np.int32)
-    by_column = votes.T.copy()
+    row_ends, columns_of = _pairs(votes, least, row_seen, column_seen)
+    column_ends, rows_of = _turned(row_ends, columns_of, m)
     rows, columns = np.empty(n, np.int64), np.empty(m, np.int64)
     for first in range(n):
         if row_seen[first]:
@@ -50,19 +51,58 @@ def _assign(votes, least, row_seen, column_seen):  # type: ignore[no-untyped-def
         while reached < row_count:
             i = rows[reached]
             reached += 1
-            for j in range(m):
-                if votes[i, j] >= least and not column_seen[j]:
-                    column_seen[j] = True
-                    columns[column_count] = j
-                    column_count += 1
-                    for k in range(n):
-                        if by_column[j, k] >= least and not row_seen[k]:
-                            row_seen[k] = True
-                            rows[row_count] = k
-                            row_count += 1
+            for j in columns_of[row_ends[i] : row_ends[i + 1]]:
+                if column_seen[j]:
+                    continue
+                column_seen[j] = True
+                columns[column_count] = j
+                column_count += 1
+                for k in rows_of[column_ends[j] : column_ends[j + 1]]:
+                    if not row_seen[k]:
+                        row_seen[k] = True
+                        rows[row_count] = k
+                        row_count += 1
         if column_count:
             _solve(votes, least, rows[:row_count], columns[:column_count], chosen)
     return chosen
+
+
+@njit()
+def _pairs(votes, least, row_skipped, column_skipped):  # type: ignore[no-untyped-def]
+    """Where the columns of each row end among (P,) columns of all pairs with enough votes, and these."""
+    n, m = votes.shape
+    ends = np.zeros(n + 1, np.int64)
+    for i in range(n):
+        count = 0
+        if not row_skipped[i]:
+            for j in range(m):  # without a branch, so that the compiler does eight at a time
+                count += votes[i, j] >= least and not column_skipped[j]
+        ends[i + 1] = ends[i] + count
+    columns = np.empty(ends[n], np.int64)
+    for i in range(n):
+        place, end = ends[i], ends[i + 1]
+        j = 0
+        while place < end:
+            if votes[i, j] >= least and not column_skipped[j]:
+                columns[place] = j
+                place += 1
+            j += 1
+    return ends, columns
+
+
+@njit()
+def _turned(row_ends, columns, count):  # type: ignore[no-untyped-def]
+    """The same by column: where the rows of each of so many columns end, and the rows."""
+    ends = np.zeros(count + 1, np.int64)
+    for j in columns:
+        ends[j + 1] += 1
+    ends = np.cumsum(ends)
+    rows, place = np.empty(len(columns), np.int64), ends[:-1].copy()
+    for i in range(len(row_ends) - 1):
+        for j in columns[row_ends[i] : row_ends[i + 1]]:
+            rows[place[j]] = i
+            place[j] += 1
+    return ends, rows
 
 
 @njit()

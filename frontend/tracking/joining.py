@@ -37,10 +37,14 @@ def joined(tracks: TrackTable, pairs: Pairs, seen: Seen, edges: NDArray[np.float
         edges: (H, W) float32 edge probability.
     """
     hit = np.flatnonzero(pairs >= 0)
-    free = np.setdiff1d(np.arange(seen.detected), pairs[hit])
+    alone = np.ones(seen.detected, np.bool_)
+    alone[pairs[hit]] = False
+    free = np.flatnonzero(alone)
     lines, offsets = seen.features.segments[pairs[hit]], seen.errors[pairs[hit], 0, 0]
     pieces = seen.features.segments[free], seen.errors[free, 0, 0]
     changed, taken = _join(edges, tracks.segments[hit], lines, offsets, *pieces)
+    if not changed.any():
+        return seen
     rows = pairs[hit][changed]
     segments, errors, mask = seen.features.segments.copy(), seen.errors.copy(), seen.joined.copy()
     segments[rows], errors[rows, 0, 0], mask[free[taken]] = lines[changed], offsets[changed], True

@@ -79,7 +79,8 @@ class TrackTable:
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> TrackTable:
         """Some of the tracks."""
-        return TrackTable(**{name: column[rows] for name, column in self.columns().items()})
+        rows = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+        return TrackTable(**{name: column.take(rows, axis=0) for name, column in self.columns().items()})
 
     def with_rows(self, rows: NDArray[np.bool_], values: Mapping[str, NDArray[Any]]) -> TrackTable:
         """A copy in which the masked rows of the named columns hold new values."""
