@@ -37,7 +37,8 @@ class PlVinsLines:
     PL-VINS's estimator pairs the messages of lines with those of its point tracker by their order, not their stamps.
 
     - So the first frame has no message. The tracker limits its rate to what it has published so far, divided by the
-      time since its first image; with the first image itself that is one by zero, and nothing is published.
+      time since its first image; with the first image itself that is one by zero, and nothing is published. (That of
+      EPLF-VINS does the same, and pairs by stamp: nothing is lost.)
     - Frames that are missing between two others, which `frame_index` tells, have an empty message each: the tracker has
       seen them. With a stride, the smallest step between two frames so far counts as one.
     - Only confirmed tracks: PL-VINS makes a landmark of every number, and has no way to take back one that was noise.
