@@ -23,6 +23,7 @@ OUTPUTS = {
     "mcap": "tracks.mcap",
     "csv": "tracks.csv",
     "limap": "limap",
+    "bag": "plvins.bag",
     "plvins": "plvins.mcap",
     "rrd": "recording.rrd",
 }

@@ -22,7 +22,8 @@ KINDS = {  # what to give, the module and class that write it, and what refuses 
     "mcap": ("NAME.mcap (for Foxglove)", "foxglove", "McapTrackSink", check_new),
     "parquet": ("NAME.parquet", "tables", "ParquetTrackSink", check_table),
     "csv": ("NAME.csv", "tables", "CsvTrackSink", check_new),
-    "plvins": ("plvins.mcap or plvins:NAME.mcap (for PL-VINS)", "plvins", "PlVinsTrackSink", check_new),
+    "bag": ("NAME.bag (for PL-VINS, in ROS 1)", "plvins", "PlVinsBagSink", check_new),
+    "plvins": ("plvins.mcap or plvins:NAME.mcap (the same in MCAP)", "plvins", "PlVinsTrackSink", check_new),
     "limap": ("limap/ or limap:FOLDER (for LIMAP)", "limap", "LimapTrackSink", check_folder),
 }
 
@@ -31,8 +32,8 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
     """The kind of output that a name stands for, and where it goes.
 
     Args:
-        spec: `KIND:PATH`; or a path, whose ending tells: `plvins.mcap`, other `.mcap`, `.parquet`, `.csv`, a folder
-            named `limap` or written with a slash at its end.
+        spec: `KIND:PATH`; or a path, whose ending tells: `plvins.mcap`, other `.mcap`, `.parquet`, `.csv`, `.bag`, a
+            folder named `limap` or written with a slash at its end.
 
     Raises:
         InputError: a name that stands for nothing.

@@ -1,4 +1,4 @@
-"""Tracked lines as PL-VINS takes them from its own line tracker, in an MCAP file.
+"""Tracked lines as PL-VINS takes them from its own line tracker, in a ROS 1 bag or an MCAP file.
 
 PL-VINS (Fu et al., "PL-VINS: Real-Time Monocular Visual-Inertial SLAM with Point and Line Features", 2020;
 github.com/cnqiangfu/PL-VINS) is a ROS 1 system. Its estimator subscribes to `/linefeature_tracker/linefeature`, so play
@@ -8,6 +8,7 @@ this file instead of running its node `linefeature_tracker`.
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from airline.errors import ConfigError, InputError
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
+from logs.sinks.bag import BagOutput
 from logs.sinks.output import McapOutput
 from logs.tracks.json import SECOND_NS
 
@@ -26,27 +28,39 @@ _TYPE = "sensor_msgs/msg/PointCloud"
 _FRAME_ID = "world"
 _NUMBERS = 2**24  # float32 has every whole number below
 
+Cloud = tuple[int, NDArray[np.float32], NDArray[np.float32]]
+
 
 class PlVinsLines:
-    """Which lines of a frame PL-VINS gets, and under which numbers.
+    """What PL-VINS gets of each frame: how many messages, with which lines, under which numbers.
 
+    PL-VINS's estimator pairs the messages of lines with those of its point tracker by their order, not their stamps.
+
+    - So the first frame has no message. The tracker limits its rate to what it has published so far, divided by the
+      time since its first image; with the first image itself that is one by zero, and nothing is published. (That of
+      EPLF-VINS does the same, and pairs by stamp: nothing is lost.)
+    - Frames that are missing between two others, which `frame_index` tells, have an empty message each: the tracker has
+      seen them. With a stride, the smallest step between two frames so far counts as one.
     - Only confirmed tracks: PL-VINS makes a landmark of every number, and has no way to take back one that was noise.
-    - Numbers are not track ids. PL-VINS takes the observations of a number for those of consecutive frames, so a track
-      that was lost for a while goes on under a new one; and it sends numbers as float32, so they are counted from 0
+    - Numbers are not track ids. PL-VINS takes the observations of a number for those of consecutive messages: a track
+      that was lost for a while goes on under a new one. And it sends numbers as float32, so they are counted from 0
       and begin again at 2^24. By then their first holders are long gone from its window of ten frames.
     - Lines as observed: the estimator takes the errors of different frames for independent, which fused lines' are not.
     - Lines with an end that no undistortion reaches are left out.
     """
 
     def __init__(self) -> None:
-        self._numbers: dict[int, int] = {}  # of the tracks in the frame before
+        self._numbers: dict[int, int] = {}  # of the tracks in the message before
         self._next = 0
+        self._before: tuple[int, int] | None = None  # index and stamp of the frame before
+        self._stride = 0
 
-    def of_frame(self, tracks: LineTracks) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The lines of the next frame.
+    def of_frame(self, tracks: LineTracks) -> list[Cloud]:
+        """The messages of the next frame, and of those that are missing before it.
 
         Returns:
-            (K,) float32 numbers, and (K, 2, 2) float32 end points, undistorted, on the plane z = 1.
+            For each message its stamp (ns), (K,) float32 numbers, and (K, 2, 2) float32 end points, undistorted, on the
+            plane z = 1.
 
         Raises:
             ConfigError: a frame without a camera.
@@ -54,6 +68,15 @@ class PlVinsLines:
         segments = tracks.observed_normalized
         if segments is None:
             raise ConfigError("PL-VINS needs normalized coordinates: give the camera's calibration with --calib FILE")
+        before, self._before = self._before, (tracks.frame_index, tracks.stamp_ns)
+        if before is None:
+            return []
+        step = max(1, tracks.frame_index - before[0])
+        self._stride = min(self._stride or step, step)
+        count = step // self._stride
+        stamps = [before[1] + (tracks.stamp_ns - before[1]) * k // count for k in range(1, count + 1)]
+        if count > 1:
+            self._numbers = {}
         usable = tracks.confirmed & np.isfinite(segments).all((1, 2))
         numbers = {}
         for track in tracks.ids[usable].tolist():
@@ -62,50 +85,67 @@ class PlVinsLines:
                 number, self._next = self._next, (self._next + 1) % _NUMBERS
             numbers[track] = number
         self._numbers = numbers
-        return np.array(list(numbers.values()), np.float32), segments[usable]
+        nothing = np.zeros(0, np.float32), np.zeros((0, 2, 2), np.float32)
+        empty: list[Cloud] = [(stamp_ns, *nothing) for stamp_ns in stamps[:-1]]
+        return [*empty, (stamps[-1], np.array(list(numbers.values()), np.float32), segments[usable])]
 
 
-class PlVinsTrackSink:
-    """Writes each frame's lines as a `sensor_msgs/PointCloud` of ROS 1; a `Sink`.
+class PlVinsBagSink:
+    """Writes a `sensor_msgs/PointCloud` for each frame but the first into a ROS 1 bag, for `rosbag play`; a `Sink`.
 
     A message has the frame's stamp and, for each of the `PlVinsLines`, the start in `points` and in `channels` the
-    number, and u and v of the end. Every frame has a message, even if it is empty: PL-VINS pairs them with those of its
-    point tracker by their order. So that tracker has to use every frame too: set `freq` in PL-VINS's configuration
-    above the rate of the frames.
+    number, and u and v of the end. PL-VINS's point tracker has to publish every frame, too, or lines meet the points of
+    other frames: `freq: 0` in PL-VINS's configuration.
 
     Arguments and errors are those of `OutputFile`; a frame without a camera is a ConfigError.
     """
 
+    _output: BagOutput | McapOutput
+
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         self._store = get_typestore(Stores.ROS1_NOETIC)
-        definition, _ = self._store.generate_msgdef(_TYPE, ros_version=1)
-        metadata = {"lines": "normalized coordinates on the plane z = 1: start in points, number and end in channels"}
-        self._output = McapOutput(Path(path), overwrite, metadata, profile="ros1")
-        self._channel = self._output.channel(TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode())
         self._lines = PlVinsLines()
-        self._frames = 0
+        self._count = 0
+        self._open(Path(path), overwrite, *self._store.generate_msgdef(_TYPE, ros_version=1))
+
+    def _open(self, path: Path, overwrite: bool, definition: str, digest: str) -> None:
+        self._output = output = BagOutput(path, overwrite)
+        self._add = partial(output.write, output.connection(TOPIC, _TYPE, definition, digest))
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
-        tracks = result.tracks
-        numbers, segments = self._lines.of_frame(tracks)
-        if not 0 <= tracks.stamp_ns < 2**32 * SECOND_NS:
-            raise InputError(f"ROS 1 has no time {tracks.stamp_ns} ns: it counts from 1970 to 2106")
+        stamp_ns = result.tracks.stamp_ns
+        if not 0 <= stamp_ns < 2**32 * SECOND_NS:
+            raise InputError(f"ROS 1 has no time {stamp_ns} ns: it counts from 1970 to 2106")
+        for cloud in self._lines.of_frame(result.tracks):
+            self._add(cloud[0], self._message(*cloud))
+        self._output.flush_when_due()
+
+    def close(self) -> None:
+        """Write the file's index; safe to call twice."""
+        self._output.close()
+
+    def _message(self, stamp_ns: int, numbers: NDArray[np.float32], segments: NDArray[np.float32]) -> bytes:
         types = self._store.types
-        seconds, nanoseconds = divmod(tracks.stamp_ns, SECOND_NS)
+        seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
         stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
         point, channel = types["geometry_msgs/msg/Point32"], types["sensor_msgs/msg/ChannelFloat32"]
         u, v = np.ascontiguousarray(segments[:, 1].T)
         named = {"id_of_line": numbers, "u_of_endpoint": u, "v_of_endpoint": v}
         message = types[_TYPE](
-            header=types["std_msgs/msg/Header"](seq=self._frames % 2**32, stamp=stamp, frame_id=_FRAME_ID),
+            header=types["std_msgs/msg/Header"](seq=self._count % 2**32, stamp=stamp, frame_id=_FRAME_ID),
             points=[point(x=x, y=y, z=1.0) for x, y in segments[:, 0].tolist()],
             channels=[channel(name=name, values=values) for name, values in named.items()],
         )
-        self._output.write(self._channel, tracks.stamp_ns, bytes(self._store.serialize_ros1(message, _TYPE)))
-        self._output.flush_when_due()
-        self._frames += 1
+        self._count += 1
+        return bytes(self._store.serialize_ros1(message, _TYPE))
 
-    def close(self) -> None:
-        """Write the file's index; safe to call twice."""
-        self._output.close()
+
+class PlVinsTrackSink(PlVinsBagSink):
+    """The same messages in an MCAP file, for players of that format: ROS 1 itself has none."""
+
+    def _open(self, path: Path, overwrite: bool, definition: str, digest: str) -> None:
+        metadata = {"lines": "normalized coordinates on the plane z = 1: start in points, number and end in channels"}
+        self._output = output = McapOutput(path, overwrite, metadata, profile="ros1")
+        channel = output.channel(TOPIC, "ros1", "sensor_msgs/PointCloud", "ros1msg", definition.encode())
+        self._add = partial(output.write, channel)

@@ -48,7 +48,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_tracks_in_every_format(desk: Path) -> None:
     small_log(desk / "drive.mcap", "/cam/image")
-    outputs = ["tracks.mcap", "tracks.parquet", "tracks.csv", "limap/", "plvins.mcap"]
+    outputs = ["tracks.mcap", "tracks.parquet", "tracks.csv", "limap/", "plvins.mcap", "lines.bag"]
     flags = [flag for name in outputs for flag in ("--out", name)]
     outcome = command("drive.mcap", "--headless", *flags, "--with-images", "--labels")
     assert outcome.code == 0, outcome.err

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from rosbags.rosbag1 import Writer
 
 from airline.scenes import RenderedClip
 from tests.helpers.camera_logs import EPOCH_NS, Channel, Logged, write_log
-from tests.helpers.camera_messages import cdr
+from tests.helpers.camera_messages import ROS1, cdr, image_fields, ros1
 from tests.helpers.command import command
 from tests.helpers.data_sets import write_annotated, write_labelled, write_posed
 from viz.overlay import write_film
@@ -35,6 +36,7 @@ def prepare(folder: Path) -> None:
     _write_folders(folder, images)
     write_film(folder / "video.mp4", images, 1e9 / STEP_NS)
     log = _write_log(folder / "log.mcap", images)
+    _write_bag(folder / "drive.bag", images)
     (folder / "cut.mcap").write_bytes(log.read_bytes()[:-3000])
     (folder / "cam.yaml").write_text(CAMERA)
     (folder / "logs" / "deeper").mkdir(parents=True)
@@ -72,3 +74,12 @@ def _write_log(path: Path, images: Images) -> Path:
         data = cv2.imencode(".jpg", image)[1]
         messages.append(Logged(stamp_ns, cdr("CompressedImage", stamp_ns=stamp_ns, format="jpeg", data=data)))
     return write_log(path, {"/cam0/image_raw": Channel("sensor_msgs/msg/CompressedImage", "cdr", messages)})
+
+
+def _write_bag(path: Path, images: Images) -> None:
+    with Writer(path) as bag:
+        camera = bag.add_connection("/cam0/image_raw", "sensor_msgs/msg/Image", typestore=ROS1)
+        for k, image in enumerate(images):
+            stamp_ns = EPOCH_NS + k * STEP_NS
+            fields = image_fields(image.tobytes(), *SIZE, "bgr8", 3 * SIZE[0])
+            bag.write(camera, stamp_ns, ros1("Image", stamp_ns=stamp_ns, **fields))

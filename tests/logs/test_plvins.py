@@ -1,103 +1,223 @@
-"""The PL-VINS file, through an independent ROS 1 decoder and PL-VINS's own way of taking messages apart."""
+"""PL-VINS's messages, through independent readers of ROS 1, and PL-VINS's own way of taking them."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros1.decoder import DecoderFactory
 
 from airline.errors import ConfigError, InputError
-from logs.sinks import plvins
-from logs.sinks.plvins import PlVinsTrackSink
-from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, write_all
+from frontend.tracks import LineTracks
+from logs.files import open_log
+from logs.sinks import output, plvins
+from logs.sinks.open import open_track_sink
+from logs.sinks.plvins import TOPIC
+from logs.tracks.message import encode
+from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result_of, write_all
+from tests.helpers.plvins import (
+    ROS1,
+    Clouds,
+    clouds_of,
+    has_rosbag,
+    landmarks,
+    published,
+    read_bag,
+    read_mcap,
+    read_rosbag,
+)
+from tests.helpers.ros2 import load_node
+
+FORMATS = [
+    ("plvins.mcap", read_mcap),
+    ("lines.bag", read_bag),
+    pytest.param("lines.bag", read_rosbag, marks=has_rosbag),
+]
+in_every_format = pytest.mark.parametrize(("name", "read"), FORMATS)
+EPOCH_NS = 1_403_636_579_763_555_584
 
 
-def write(path, stream) -> None:
-    write_all(PlVinsTrackSink(path), stream)
+def written(path: Path, stream: list[LineTracks], read: Callable[[Path], Clouds]) -> Clouds:
+    write_all(open_track_sink(str(path)), stream)
+    return read(path)
 
 
-def read(path):
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        return [(channel, schema, message, cloud) for schema, channel, message, cloud in reader.iter_decoded_messages()]
-
-
-def lines_of(cloud) -> dict[int, tuple[float, float, float, float]]:
-    """What the estimator makes of a message: start and end by number, as in its loop over the points."""
-    lines = {}
-    for i, point in enumerate(cloud.points):
-        number = int(cloud.channels[0].values[i] + 0.5)
-        assert number not in lines
-        lines[number] = (point.x, point.y, cloud.channels[1].values[i], cloud.channels[2].values[i])
-        assert point.z == 1
-    return lines
-
-
-def confirmed(*tracks):
+def confirmed(*tracks: LineTracks) -> list[LineTracks]:
     return [replace(one, states=np.ones(len(one), np.uint8)) for one in tracks]
 
 
-def test_the_clip_arrives_as_it_was_tracked(tmp_path):
+def drive(indices: list[int], stamps_ns: list[int]) -> list[LineTracks]:
+    """Frames in which each of forty tracks is seen for a while, lost for a while, and seen again."""
+    rng = np.random.default_rng(0)
+    seen = (np.arange(40)[:, None] + 3 * np.arange(indices[-1] + 1)) % 50 < 35
+    return confirmed(*(made_tracks(k, stamps_ns[k], np.flatnonzero(seen[:, k]), rng) for k in indices))
+
+
+@in_every_format
+def test_the_clip_arrives_as_it_was_tracked(tmp_path, name, read):
     stream = [result.tracks for result in clip_results()]
-    write(tmp_path / "plvins.mcap", stream)
-    found = read(tmp_path / "plvins.mcap")
-    assert len(found) == len(stream)
+    found = written(tmp_path / name, stream, read)
     ids_of: dict[int, int] = {}
-    for tracks, (channel, schema, message, cloud) in zip(stream, found, strict=True):
-        assert (channel.topic, channel.message_encoding) == ("/linefeature_tracker/linefeature", "ros1")
-        assert (schema.name, schema.encoding) == ("sensor_msgs/PointCloud", "ros1msg")
-        assert message.log_time == message.publish_time == tracks.stamp_ns
-        assert cloud.header.stamp.secs * 10**9 + cloud.header.stamp.nsecs == tracks.stamp_ns
-        assert cloud.header.frame_id == "world"
-        lines = lines_of(cloud)
+    for tracks, (stamp_ns, lines) in zip(stream[1:], found, strict=True):
+        assert stamp_ns == tracks.stamp_ns
         chosen = tracks.confirmed
-        np.testing.assert_array_equal(
-            np.array(list(lines.values()), np.float32).reshape(-1, 4), tracks.observed_normalized[chosen].reshape(-1, 4)
-        )
+        observed = tracks.observed_normalized[chosen].reshape(-1, 4)
+        np.testing.assert_array_equal(np.array(list(lines.values()), np.float32).reshape(-1, 4), observed)
         for number, track in zip(lines, tracks.ids[chosen].tolist(), strict=True):
             assert ids_of.setdefault(number, track) == track, "a number never changes its track"
     assert len(lines) > 50
+    assert (observed != tracks.segments_normalized[chosen].reshape(-1, 4)).any(1).mean() > 0.9, "fused lines are others"
     assert max(ids_of) == len(ids_of) - 1
 
 
-def test_an_interrupted_track_goes_on_under_a_new_number(tmp_path):
-    """PL-VINS takes the k-th observation of a number for that in the k-th frame from its first."""
+JITTER_NS = 4_000_000
+RATES = [(10, 0, 1), (15, 0, 1), (20, 0, 1), (30, 0, 1), (20, 10, 2), (30, 15, 2), (30, 10, 3)]
+
+
+@pytest.mark.parametrize("missing", [[], [5, 12, 13]], ids=["all", "some missing"])
+@pytest.mark.parametrize(("rate", "freq", "stride"), RATES)
+@pytest.mark.parametrize("route", ["plvins.mcap", "lines.bag", "node"])
+def test_every_line_meets_the_points_of_its_own_frame(route, rate, freq, stride, missing, tmp_path, monkeypatch):
+    """Points that PL-VINS's tracker makes of all images, with the lines that we make of those that we got."""
+    jitter_ns = JITTER_NS if freq == 0 else JITTER_NS // 10  # a camera's stamps are not even
+    shifts_ns = np.random.default_rng(0).integers(-jitter_ns, jitter_ns, 61).tolist()
+    stamps_ns = [EPOCH_NS + k * 10**9 // rate + shift_ns for k, shift_ns in enumerate(shifts_ns)]
+    stream = drive([k for k in range(0, 61, stride) if k // stride not in missing], stamps_ns)
+    if route == "node":
+        node = load_node(monkeypatch)
+        clouds = sent_by(node, stream)
+    else:
+        clouds = written(tmp_path / route, stream, read_mcap if route == "plvins.mcap" else read_bag)
+
+    points = published(stamps_ns, freq)
+    frames = {tracks.frame_index: tracks for tracks in stream}
+    assert points == [k * stride for k in range(1, len(clouds) + 1)], "as many as there are clouds, none of the first"
+    for index, (stamp_ns, lines) in zip(points, clouds, strict=True):
+        assert (stamp_ns == stamps_ns[index]) == (index in frames)
+        assert len(lines) == (len(frames[index]) if index in frames else 0)
+    found = landmarks(lines for _, lines in clouds)
+    assert len(found) > 60
+    for first, observations in found:
+        whose = set()
+        for position, line in enumerate(observations, first):
+            tracks = frames[points[position]]
+            (row,) = np.flatnonzero((tracks.observed_normalized.reshape(-1, 4) == line).all(1))
+            whose.add(int(tracks.ids[row]))
+        assert len(whose) == 1
+
+
+@pytest.mark.parametrize(("rate", "freq"), [(20, 10), (30, 20)])
+def test_a_tracker_that_leaves_out_frames_is_no_match(rate, freq):
+    """Why the page says `freq: 0`."""
+    assert published([EPOCH_NS + k * 10**9 // rate for k in range(30)], freq)[:3] != [1, 2, 3]
+
+
+def sent_by(node, stream: list[LineTracks], first: int = 0) -> Clouds:
+    """What the ROS 2 node publishes for these frames, when their messages are numbered from `first`."""
+    lines = node["PlVinsClouds"]()
+    clouds = []
+    for number, tracks in enumerate(stream, first):
+        data = encode(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0)
+        clouds += lines.of_frame(node["frame_of"](data))
+    return clouds_of(clouds)
+
+
+def test_a_node_that_comes_late_sends_what_it_missed_empty(monkeypatch):
+    stamps_ns = [EPOCH_NS + k * 10**8 for k in range(20)]
+    stream = drive(list(range(20)), stamps_ns)
+    node = load_node(monkeypatch)
+    late = sent_by(node, stream[5:], first=5)
+    assert [len(lines) for _, lines in late] == [0] * 4 + [len(tracks) for tracks in stream[5:]]
+    assert [stamp_ns for stamp_ns, _ in late][4:] == stamps_ns[5:]
+    assert late == sorted(late, key=lambda cloud: cloud[0])
+
+
+@in_every_format
+def test_an_interrupted_track_goes_on_under_a_new_number(tmp_path, name, read):
+    """PL-VINS takes the k-th observation of a number for that in the k-th message from its first."""
     rng = np.random.default_rng(0)
-    ids = [[2**40, 2**40 + 1], [2**40], [2**40, 2**40 + 1], [], [2**40]]
+    ids = [[2**40, 2**40 + 1], [2**40, 2**40 + 1], [2**40], [2**40, 2**40 + 1], [], [2**40]]
     stream = confirmed(*(made_tracks(k, k, np.array(some, np.int64), rng) for k, some in enumerate(ids)))
-    write(tmp_path / "plvins.mcap", stream)
-    assert [list(lines_of(cloud)) for *_, cloud in read(tmp_path / "plvins.mcap")] == [[0, 1], [0], [0, 2], [], [3]]
+    clouds = written(tmp_path / name, stream, read)
+    assert [list(lines) for _, lines in clouds] == [[0, 1], [0], [0, 2], [], [3]]
 
 
 def test_tentative_tracks_and_lines_out_of_reach_are_left_out(tmp_path):
-    (tracks,) = confirmed(made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=FISHEYE))
+    rng = np.random.default_rng(0)
+    first, tracks = confirmed(*(made_tracks(k, k, np.arange(4), rng, camera=FISHEYE) for k in range(2)))
     tracks.states[1] = 0
     tracks.observed_px[2, 1] = 1e5
-    write(tmp_path / "plvins.mcap", [tracks])
-    ((*_, cloud),) = read(tmp_path / "plvins.mcap")
-    np.testing.assert_allclose(
-        list(lines_of(cloud).values()), tracks.observed_normalized[[0, 3]].reshape(-1, 4), rtol=1e-6
-    )
+    ((_, lines),) = written(tmp_path / "lines.bag", [first, tracks], read_bag)
+    np.testing.assert_allclose(list(lines.values()), tracks.observed_normalized[[0, 3]].reshape(-1, 4), rtol=1e-6)
 
 
 def test_numbers_stay_exact_in_float32(tmp_path, monkeypatch):
     monkeypatch.setattr(plvins, "_NUMBERS", 5)
     rng = np.random.default_rng(0)
-    stream = confirmed(*(made_tracks(k, k, np.arange(3 * k, 3 * k + 3), rng) for k in range(4)))
-    write(tmp_path / "plvins.mcap", stream)
-    numbers = [list(lines_of(cloud)) for *_, cloud in read(tmp_path / "plvins.mcap")]
+    stream = confirmed(*(made_tracks(k, k, np.arange(3 * k, 3 * k + 3), rng) for k in range(5)))
+    numbers = [list(lines) for _, lines in written(tmp_path / "lines.bag", stream, read_bag)]
     assert numbers == [[0, 1, 2], [3, 4, 0], [1, 2, 3], [4, 0, 1]]
 
 
-def test_without_a_camera_it_names_the_flag(tmp_path):
+@pytest.mark.parametrize("name", ["plvins.mcap", "lines.bag"])
+def test_without_a_camera_it_names_the_flag(tmp_path, name):
     with pytest.raises(ConfigError, match="--calib"):
-        write(tmp_path / "p.mcap", [made_tracks(0, 0, np.arange(3), np.random.default_rng(0), camera=None)])
+        written(tmp_path / name, [made_tracks(0, 0, np.arange(3), np.random.default_rng(0), camera=None)], read_bag)
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2**32 * 10**9])
 def test_times_that_ros_1_does_not_have(tmp_path, stamp_ns):
     with pytest.raises(InputError, match="ROS 1 has no time"):
-        write(tmp_path / "p.mcap", [made_tracks(0, stamp_ns, np.arange(3), np.random.default_rng(0))])
+        written(tmp_path / "p.bag", [made_tracks(0, stamp_ns, np.arange(3), np.random.default_rng(0))], read_bag)
+
+
+@has_rosbag
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_the_shortest_bags_can_be_played(tmp_path, frames, monkeypatch):
+    monkeypatch.setattr(output, "FLUSH_S", 0.0)
+    stream = drive(list(range(3)), [EPOCH_NS + k for k in range(3)])[:frames]
+    assert len(written(tmp_path / "lines.bag", stream, read_rosbag)) == max(0, frames - 1)
+
+
+@has_rosbag
+def test_what_a_killed_run_leaves_is_whole_when_ros_has_reindexed_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(output, "FLUSH_S", 0.0)
+    stream = drive(list(range(30)), [EPOCH_NS + k * 10**8 for k in range(30)])
+    sink, path = open_track_sink(str(tmp_path / "lines.bag")), tmp_path / "killed.bag"
+    sizes = []
+    for tracks in stream:
+        sink.write(result_of(tracks))
+        sizes.append((tmp_path / "lines.bag").stat().st_size)
+    left = (tmp_path / "lines.bag").read_bytes()
+    sink.close()
+    whole = read_rosbag(tmp_path / "lines.bag")
+    assert len(whole) == 29
+    for size in [sizes[1], sizes[20] - 10, sizes[20] + 300, len(left)]:
+        path.write_bytes(left[:size])
+        with pytest.raises(InputError, match="reindex"):
+            open_log(path)
+        done = subprocess.run([*ROS1, shutil.which("rosbag"), "reindex", "-q", "-f", path], capture_output=True)
+        assert (done.returncode, done.stderr) == (0, b"")
+        count = sum(end <= size for end in sizes[1:])
+        assert read_rosbag(path) == read_bag(path) == whole[:count]
+        with closing(open_log(path)) as log:
+            assert log.topics[TOPIC].count == count
+
+
+@has_rosbag
+def test_ros_adds_to_a_bag_of_ours(tmp_path):
+    stream = drive(list(range(5)), [EPOCH_NS + k * 10**8 for k in range(5)])
+    before = written(tmp_path / "lines.bag", stream, read_rosbag)
+    add = """
+import sys, rosbag
+with rosbag.Bag(sys.argv[1], "a") as bag:
+    topic, cloud, time = next(bag.read_messages())
+    bag.write(topic, cloud, time)
+"""
+    subprocess.run([*ROS1, "-c", add, tmp_path / "lines.bag"], check=True)
+    assert read_rosbag(tmp_path / "lines.bag") == [before[0], *before]

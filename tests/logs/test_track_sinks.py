@@ -18,7 +18,7 @@ from logs.sinks.tables import ParquetTrackSink, finish_journal
 from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks
 
 ROOT = Path(__file__).parents[2]
-ALL = ("all.mcap", "all.parquet", "all.csv", "limap/", "plvins.mcap")
+ALL = ("all.mcap", "all.parquet", "all.csv", "limap/", "plvins.mcap", "all.bag")
 
 
 def write(spec: str, results, **options) -> None:
@@ -37,12 +37,14 @@ def write(spec: str, results, **options) -> None:
         ("t.csv", "csv", "t.csv"),
         ("a/plvins.mcap", "plvins", "a/plvins.mcap"),
         ("run_plvins.mcap", "plvins", "run_plvins.mcap"),
+        ("Lines.bag", "bag", "Lines.bag"),
         ("a/limap", "limap", "a/limap"),
         ("anything/", "limap", "anything"),
         ("plvins:t.mcap", "plvins", "t.mcap"),
         ("mcap:plvins.mcap", "mcap", "plvins.mcap"),
         ("limap:out", "limap", "out"),
         ("csv:t.txt", "csv", "t.txt"),
+        ("bag:plvins.mcap", "bag", "plvins.mcap"),
     ],
 )
 def test_a_name_tells_its_kind(spec, kind, path):
@@ -180,7 +182,7 @@ def written_until_full(path: Path, room: int) -> tuple[int, str]:
     return int(count), message
 
 
-@pytest.mark.parametrize("name", ["all.mcap", "all.parquet", "all.csv", "plvins.mcap"])
+@pytest.mark.parametrize("name", ["all.mcap", "all.parquet", "all.csv", "plvins.mcap", "all.bag"])
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
     count, message = written_until_full(tmp_path / name, 100_000)
     assert name in message
@@ -192,7 +194,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-@pytest.mark.parametrize("kind", ["mcap", "csv", "plvins"])
+@pytest.mark.parametrize("kind", ["mcap", "csv", "plvins", "bag"])
 def test_a_disk_that_is_full_from_the_start(kind):
     with pytest.raises(InputError, match=r"/dev/full.*No space left"):
         write(f"{kind}:/dev/full", clip_results(), overwrite=True)

@@ -2,68 +2,86 @@
 
 from __future__ import annotations
 
+import ast
 import re
-import runpy
-import sys
-from types import ModuleType, SimpleNamespace
+import threading
+from contextlib import closing
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from logs.sinks.plvins import TOPIC, PlVinsLines, PlVinsTrackSink
+from frontend.tracks import LineTracks
+from logs.sinks.open import open_publisher
+from logs.sinks.plvins import TOPIC, PlVinsBagSink
 from logs.tracks.message import ARRAYS, encode
 from tests.helpers.command import ROOT
-from tests.helpers.made_tracks import clip_results, write_tracks
-from tests.logs.test_plvins import read
+from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result_of, write_tracks
+from tests.helpers.plvins import clouds_of, read_bag
+from tests.helpers.ros2 import NODE, Node, load_node
 
 PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
-NODE = ROOT / "examples" / "ros2_lines_node.py"
-
-
-class Message(SimpleNamespace):
-    """Stands in for any message class of ROS 2: they take their fields by name."""
-
-    LINE_LIST, ADD = 5, 0
 
 
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the example defines, with stand-ins for what it imports from ROS."""
-    source = NODE.read_text(encoding="utf-8")
-    for package, names in re.findall(r"from ((?:\w+_\w+\.msg)|rclpy\.\w+) import (.*)", source):
-        module = ModuleType(package)
-        module.__dict__.update(dict.fromkeys(names.split(", "), Message))
-        monkeypatch.setitem(sys.modules, package, module)
-        monkeypatch.setitem(sys.modules, package.split(".")[0], ModuleType(package.split(".")[0]))
-    return runpy.run_path(str(NODE), run_name="lines_node")
+    return load_node(monkeypatch)
 
 
-def test_the_node_sends_what_the_file_holds(node: dict[str, Any], tmp_path) -> None:
-    write_tracks(PlVinsTrackSink(tmp_path / "plvins.mcap"), clip_results())
-    lines = PlVinsLines()
-    expected = [cloud for *_, cloud in read(tmp_path / "plvins.mcap")]
-    assert f'"{TOPIC}"' in NODE.read_text(encoding="utf-8")
-    assert sum(len(cloud.points) for cloud in expected) > 500
-    for result, cloud in zip(clip_results(), expected, strict=True):
-        found = node["cloud_of"](result.tracks, lines)
-        stamp = cloud.header.stamp
-        assert (found.header.stamp.sec, found.header.stamp.nanosec) == (stamp.secs, stamp.nsecs)
-        assert found.header.frame_id == cloud.header.frame_id
-        assert [(p.x, p.y, p.z) for p in found.points] == [(p.x, p.y, p.z) for p in cloud.points]
-        channels = [[(one.name, list(one.values)) for one in each.channels] for each in (found, cloud)]
-        assert channels[0] == channels[1]
+def frame_of(node: dict[str, Any], tracks: LineTracks) -> dict[str, Any]:
+    frame: dict[str, Any] = node["frame_of"](encode(result_of(tracks), stream=0, sequence=0, name="", sent_ns=0))
+    return frame
+
+
+def test_the_node_publishes_what_the_file_holds(node: dict[str, Any], tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("logs.sinks.zeromq.CONNECT_S", 1.0)  # the machine may be busy
+    write_tracks(PlVinsBagSink(tmp_path / "lines.bag"), clip_results())
+    with closing(open_publisher("tcp://127.0.0.1:0", "clip")) as publisher:
+        thread = threading.Thread(target=write_tracks, args=(publisher, clip_results()))
+        thread.start()
+        node["main"](publisher.address)
+        thread.join()
+    clouds = clouds_of(Node.sent[TOPIC])
+    assert clouds == read_bag(tmp_path / "lines.bag")
+    assert sum(len(lines) for _, lines in clouds) > 500
+    assert len(Node.sent["/lines/markers"]) == len(clip_results())
 
 
 def test_the_markers_are_the_stable_lines(node: dict[str, Any]) -> None:
     tracks = clip_results()[6].tracks
-    (marker,) = node["markers_of"](tracks).markers
+    (marker,) = node["markers_of"](frame_of(node, tracks)).markers
     points = np.array([(point.x, point.y, point.z) for point in marker.points], np.float32)
     assert tracks.observed_normalized is not None
     np.testing.assert_array_equal(points[:, :2], tracks.observed_normalized[tracks.stable].reshape(-1, 2))
     assert len(points) > 20
     assert (points[:, 2] == 1).all()
+
+
+def test_rviz_gets_no_line_that_no_undistortion_reaches(node: dict[str, Any]) -> None:
+    """It shows nothing of a marker with NaN."""
+    tracks = made_tracks(0, 0, np.arange(9), np.random.default_rng(0), camera=FISHEYE)
+    tracks.stable[:] = True
+    tracks.observed_px[2, 1] = 1e5
+    (marker,) = node["markers_of"](frame_of(node, tracks)).markers
+    assert len(marker.points) == 16
+    assert np.isfinite([point.x for point in marker.points]).all()
+
+
+def test_the_node_says_what_it_cannot_use(node: dict[str, Any]) -> None:
+    with pytest.raises(SystemExit, match="--calib"):
+        frame_of(node, made_tracks(0, 0, np.arange(9), np.random.default_rng(0), camera=None))
+    with pytest.raises(SystemExit, match="version 2"):
+        node["frame_of"](msgspec.msgpack.encode({"version": 2}))
+
+
+def test_the_node_needs_nothing_that_humble_does_not_have() -> None:
+    """Its Python is 3.10, and this package needs 3.11."""
+    tree = ast.parse(NODE.read_text(encoding="utf-8"), feature_version=(3, 10))
+    imported = {name.name for one in ast.walk(tree) if isinstance(one, ast.Import) for name in one.names}
+    imported |= {str(one.module).split(".")[0] for one in ast.walk(tree) if isinstance(one, ast.ImportFrom)}
+    messages = {"builtin_interfaces", "geometry_msgs", "sensor_msgs", "std_msgs", "visualization_msgs"}
+    assert imported == {"sys", "msgpack", "numpy", "zmq", "rclpy"} | messages
 
 
 def test_the_tables_are_those_of_the_protocol() -> None:
