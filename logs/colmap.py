@@ -11,6 +11,7 @@ import argparse
 import logging
 import struct
 import sys
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from logs.sinks.limap import CAMERAS, IDS, SEGMENTS, LimapTrackSink, listed, nei
 
 log = logging.getLogger(__name__)
 
-_PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE")  # by their number in COLMAP's binary files
+_PINHOLES = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many numbers; in binary files they are models 0 and 1
 Pinhole = tuple[NDArray[np.float64], NDArray[np.float64]]  # (2,) focal lengths and principal point, px
 
 
@@ -43,11 +44,11 @@ def fit_to_model(folder: Path, model: Path, out: Path, overwrite: bool = False) 
     neighbours = neighbours_of(folder)
     if out.exists() and out.samefile(folder):
         raise InputError(f"'{out}' is the folder that is read: choose another one")
-    images, cameras = read_model(model)
+    images = read_model(model)
     try:
-        own = _camera_of((folder / CAMERAS).read_text("ascii")) if (folder / CAMERAS).exists() else None
-        rows = [row for row in listed(folder) if row[2] in images]
-    except (OSError, ValueError, IndexError) as error:
+        own = _camera_of((folder / CAMERAS).read_text("ascii"))[1] if (folder / CAMERAS).exists() else None
+        rows = {name: (number, stamp_ns) for number, stamp_ns, name in listed(folder) if name in images}
+    except (OSError, ValueError) as error:
         raise InputError(f"cannot read '{folder}': {error}") from error
     if not rows:
         raise InputError(
@@ -57,11 +58,11 @@ def fit_to_model(folder: Path, model: Path, out: Path, overwrite: bool = False) 
     if own is None:
         log.warning("%s has no camera: its lines must be of the model's undistorted images", folder.name)
     with closing(LimapTrackSink(out, neighbours=neighbours, overwrite=overwrite)) as sink:
-        for number, stamp_ns, name in rows:
-            image, camera = images.pop(name)
+        for name, (number, stamp_ns) in rows.items():
+            image, (new_focal, new_centre) = images.pop(name)
             segments, ids = _lines_of(folder, number)
             if own is not None:
-                (focal, centre), (new_focal, new_centre) = own, cameras[camera]
+                focal, centre = own
                 segments = (segments.reshape(-1, 2, 2) - centre) / focal * new_focal + new_centre
             sink.add(image, name, stamp_ns, segments.reshape(-1, 4), ids)
         for name, (image, _) in images.items():  # LIMAP asks for the lines of every image
@@ -69,61 +70,69 @@ def fit_to_model(folder: Path, model: Path, out: Path, overwrite: bool = False) 
     return len(rows), len(images)
 
 
-def read_model(model: Path) -> tuple[dict[str, tuple[int, int]], dict[int, Pinhole]]:
-    """Image and camera id by image name, and the cameras, of COLMAP's files, binary ones if there are both.
+def read_model(model: Path) -> dict[str, tuple[int, Pinhole]]:
+    """Id and camera of each image, by its name, from COLMAP's files, the binary ones if there are both.
 
     Raises:
         InputError: they are not there or damaged, or a camera has a lens.
     """
     try:
         if (model / "images.bin").exists():
-            return _binary_images((model / "images.bin").read_bytes()), _binary_cameras(model)
-        lines = iter((model / "images.txt").read_text("utf-8", "surrogateescape").splitlines())
-        images = {}
-        for line in lines:
-            if line.strip() and not line.startswith("#"):
-                image, *_, camera, name = line.split(maxsplit=9)
-                images[name.strip()] = int(image), int(camera)
-                next(lines, None)  # its points, none of them perhaps
-        rows = (model / "cameras.txt").read_text("utf-8").splitlines()
-        return images, {int(row.split()[0]): _camera_of(row) for row in rows if row.strip() and row[0] != "#"}
-    except (OSError, ValueError, IndexError, struct.error) as error:
+            images = _binary_images((model / "images.bin").read_bytes())
+            cameras = _binary_cameras((model / "cameras.bin").read_bytes())
+        else:
+            images = _text_images((model / "images.txt").read_text("utf-8", "surrogateescape"))
+            rows = (model / "cameras.txt").read_text("utf-8").splitlines()
+            cameras = dict(map(_camera_of, (row for row in rows if row.strip() and row[0] != "#")))
+        return {name: (image, cameras[camera]) for image, camera, name in images}
+    except (OSError, ValueError, KeyError, OverflowError, struct.error) as error:
         raise InputError(f"cannot read a COLMAP model from '{model}': {error}") from error
-
-
-def _camera_of(row: str) -> Pinhole:
-    """Of a line "id model width height numbers"."""
-    _, kind, _, _, *numbers = row.split()
-    return _pinhole(kind, list(map(float, numbers)))
 
 
 def _pinhole(kind: str, numbers: list[float]) -> Pinhole:
     if kind not in _PINHOLES:
         raise InputError(f"the model's camera ({kind}) has a lens: give the model that colmap image_undistorter writes")
+    if len(numbers) != _PINHOLES[kind]:
+        raise ValueError(f"a {kind} camera with {len(numbers)} numbers")
     return np.array(numbers[:-2]), np.array(numbers[-2:])
 
 
-def _binary_cameras(model: Path) -> dict[int, Pinhole]:
-    data, at, cameras = (model / "cameras.bin").read_bytes(), 8, {}
+def _camera_of(row: str) -> tuple[int, Pinhole]:
+    """Of a line "id model width height numbers"."""
+    camera, kind, _, _, *numbers = row.split()
+    return int(camera), _pinhole(kind, list(map(float, numbers)))
+
+
+def _text_images(text: str) -> Iterator[tuple[int, int, str]]:
+    lines = iter(text.split("\n"))
+    for line in lines:
+        if line.strip() and not line.startswith("#"):
+            image, *_, camera, name = line.split(maxsplit=9)
+            yield int(image), int(camera), name.strip()
+            next(lines, None)  # its points, of which there may be none
+
+
+def _binary_cameras(data: bytes) -> dict[int, Pinhole]:
+    at, cameras = 8, {}
     (count,) = struct.unpack_from("<Q", data)
     for _ in range(count):
-        camera, kind = struct.unpack_from("<Ii", data, at)
-        numbers = struct.unpack_from("<4d" if kind == 1 else "<3d", data, at + 24)
-        cameras[camera] = _pinhole(dict(enumerate(_PINHOLES)).get(kind, f"model {kind}"), [*numbers])
+        camera, number = struct.unpack_from("<Ii", data, at)
+        kind = dict(enumerate(_PINHOLES)).get(number, f"model {number}")
+        numbers = struct.unpack_from(f"<{_PINHOLES.get(kind, 0)}d", data, at + 24)
+        cameras[camera] = _pinhole(kind, [*numbers])
         at += 24 + 8 * len(numbers)
     return cameras
 
 
-def _binary_images(data: bytes) -> dict[str, tuple[int, int]]:
-    at, images = 8, {}
+def _binary_images(data: bytes) -> Iterator[tuple[int, int, str]]:
+    at = 8
     (count,) = struct.unpack_from("<Q", data)
     for _ in range(count):
         image, *_, camera = struct.unpack_from("<I7dI", data, at)
         end = data.index(b"\0", at + 64)
-        images[data[at + 64 : end].decode("utf-8", "surrogateescape")] = image, camera
+        yield image, camera, data[at + 64 : end].decode("utf-8", "surrogateescape")
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + 24 * points
-    return images
 
 
 def _lines_of(folder: Path, number: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

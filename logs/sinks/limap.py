@@ -1,6 +1,6 @@
 """Tracked lines in the folder layout that LIMAP loads instead of detecting and matching lines itself.
 
-LIMAP (Liu et al., "3D Line Mapping Revisited", ICCV 2023; github.com/cvg/limap) asks for nothing but its
+LIMAP (Liu et al., "3D Line Mapping Revisited", CVPR 2023; github.com/cvg/limap) asks for nothing but its
 own files, named after the detector, extractor and matcher of its configuration; the names here are those of
 `cfgs/triangulation/default_cpu.yaml`. Poses come from a COLMAP model, whose images `logs.colmap` finds by their names.
 """

@@ -112,8 +112,8 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
 
 
 def test_csv_lists_frames_where_it_can(tmp_path):
+    (tmp_path / "t.frames.csv").write_text("mine")
     with pytest.raises(InputError, match=r"t\.frames\.csv' exists"):
-        (tmp_path / "t.frames.csv").write_text("mine")
         CsvTrackSink(tmp_path / "t.csv")
     assert [path.name for path in tmp_path.iterdir()] == ["t.frames.csv"]
     write_all(CsvTrackSink("/dev/null", overwrite=True), [])
