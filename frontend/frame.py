@@ -25,6 +25,7 @@ class Frame:
         stamp_ns: sensor time in nanoseconds (for a video file: time since its first frame).
         image: (H, W) grey or (H, W, 3) BGR, uint8 or uint16.
         camera: the camera that took it, where known.
+        name: of the image's file, relative to the folder that holds all of them; empty for other sources.
         read_s: `time.perf_counter()` when it had been read; latencies count from then.
     """
 
@@ -32,6 +33,7 @@ class Frame:
     stamp_ns: int
     image: NDArray[np.uint8] | NDArray[np.uint16]
     camera: CameraModel | None = None
+    name: str = field(default="", kw_only=True)
     read_s: float = field(default_factory=time.perf_counter, kw_only=True, compare=False, repr=False)
 
     @cached_property

@@ -39,6 +39,7 @@ class Field:
             twice is the same number. Rows of any length, and those of lost and ended tracks, are one column.
         rows: whose: tracks seen in the frame (N), lost (L) or ended (E).
         older: what stands for it in files from before it was there; None: all files have it.
+        words: what tables have in place of the numbers 0, 1, ...
         name: of the attribute. It and the dtype come from the declaration.
         dtype: numpy's, of the array.
     """
@@ -49,6 +50,7 @@ class Field:
     columns: str = ""
     rows: Literal["seen", "lost", "ended"] = "seen"
     older: float | None = None
+    words: tuple[str, ...] = ()
     name: str = ""
     dtype: Any = None
 
@@ -69,6 +71,10 @@ class Field:
 
 def _ends(prefix: str = "") -> str:
     return " ".join(prefix + end for end in ("x0", "y0", "x1", "y1"))
+
+
+def _words(kind: type[IntEnum]) -> tuple[str, ...]:
+    return tuple(one.name.lower() for one in kind)
 
 
 def _no_ids() -> Int64:
@@ -120,7 +126,7 @@ class LineTracks:
     ]
     scores: Annotated[Float32, Field("score of the measurement, in [0, 1]", columns="score")]
     descriptors: Annotated[Float32, Field("orientation descriptor, a unit vector", shape=(-1,), columns="descriptor")]
-    states: Annotated[UInt8, Field("0 tentative, 1 confirmed", columns="state")]
+    states: Annotated[UInt8, Field("0 tentative, 1 confirmed", columns="state", words=_words(TrackState))]
     ages: Annotated[Int32, Field("frames since the track began, 0 in its first frame", columns="age")]
     hits: Annotated[Int32, Field("frames in which it was seen, this one included")]
     measured: Annotated[

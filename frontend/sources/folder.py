@@ -56,6 +56,7 @@ class FolderSource(Source):
         self._rows = list_images(path, fps)
         folder = Path(path) if os.path.isdir(path) else self._rows[0].path.parent  # noqa: PTH112
         self.name = Path(path).stem if os.path.isfile(path) else folder.resolve().name or "images"  # noqa: PTH113
+        self._folder = os.path.commonpath([row.path.parent for row in self._rows])
         self.frame_count = len(self._rows)
         self.first_stamp_ns = self._rows[0].stamp_ns
         self._skips = Skips(self.name)
@@ -81,7 +82,7 @@ class FolderSource(Source):
                     self._skips.add(str(row.path))
                     continue
                 found = True
-                yield Frame(index, row.stamp_ns, image)
+                yield Frame(index, row.stamp_ns, image, name=row.path.relative_to(self._folder).as_posix())
         finally:
             self._skips.report(log)
         if self._skips.count and not found:

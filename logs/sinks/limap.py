@@ -1,15 +1,15 @@
 """Tracked lines in the folder layout that LIMAP loads instead of detecting and matching lines itself.
 
-LIMAP (Liu et al., "3D Line Mapping Revisited", ICCV 2023; github.com/cvg/limap) asks for nothing but its
+LIMAP (Liu et al., "3D Line Mapping Revisited", CVPR 2023; github.com/cvg/limap) asks for nothing but its
 own files, named after the detector, extractor and matcher of its configuration; the names here are those of
-`cfgs/triangulation/default_cpu.yaml`. With poses from elsewhere, as a COLMAP model that has all images under our ids:
-
-    python runners/colmap_triangulation.py -c cfgs/triangulation/default_cpu.yaml -a COLMAP_MODEL \\
-        --load_dir FOLDER --load_det --load_match --n_neighbors 20
+`cfgs/triangulation/default_cpu.yaml`. Poses come from a COLMAP model, whose images `logs.colmap` finds by their names.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import logging
 import os
 import pickle
 from collections import deque
@@ -24,14 +24,17 @@ from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.output import OutputFile, check_folder, whole_file
 
-MATCHES = "line_matchings/lsd/feats_lbd"
+log = logging.getLogger(__name__)
+
+SEGMENTS, MATCHES, IDS = "line_detections/lsd/segments", "line_matchings/lsd/feats_lbd", "track_ids"
 IMAGES, CAMERAS, NEIGHBOURS = "images.csv", "cameras.txt", "metainfos.txt"
 
 _FILES = (
     IMAGES,
     CAMERAS,
     NEIGHBOURS,
-    "line_detections/lsd/segments/segments_*.txt",
+    f"{SEGMENTS}/segments_*.txt",
+    f"{IDS}/track_ids_*.txt",
     f"{MATCHES}/lbd_n*_top0/matches_*.npy",
 )
 _CORNER = 0.5
@@ -47,13 +50,18 @@ class LimapTrackSink:
     | line_matchings/lsd/feats_lbd/lbd_nN_top0/matches_ID.npy | for each neighbour its (K, 2) pairs of rows |
     | metainfos.txt | neighbours of each image, for `--load_meta`; written by `close` or `python -m logs.repair` |
     | cameras.txt | the camera of the lines, COLMAP's text format; where known |
-    | images.csv | image id and stamp of every image whose files are complete |
+    | track_ids/track_ids_ID.txt | track id of each segment; for others than LIMAP |
+    | images.csv | image id, stamp and name of every image whose files are complete |
 
-    Image ids are frame numbers, lines the fused ones of all tracks. LIMAP wants images without distortion and follows
-    COLMAP, whose (0, 0) is the corner of the top-left pixel. So lines are undistorted where the camera is known, for a
-    pinhole camera of the same focal lengths and principal point, and moved by half a pixel: leave LIMAP's
-    `triangulation.add_halfpix` off, and undistort the images with the camera of `cameras.txt`. Lines with an end that
-    no undistortion reaches are left out.
+    Images are numbered as COLMAP numbers those of a folder, from 1: the id is the frame's number and 1. That is the id
+    in a COLMAP model of the same images if their names sort as the frames do and all can be read; in any other case
+    `logs.colmap` writes the folder for a model. The name is that of the image's file, relative to the folder that holds
+    them all; frames of videos and logs have none, and get their number, as in 000012.png.
+
+    Lines are the fused ones of all tracks. LIMAP wants images without distortion and follows COLMAP, whose (0, 0) is
+    the corner of the top-left pixel. So lines are undistorted where the camera is known, for a pinhole camera of the
+    same focal lengths and principal point, that of `cameras.txt`, and moved by half a pixel: leave LIMAP's
+    `triangulation.add_halfpix` off. Lines with an end that no undistortion reaches are left out.
 
     Args:
         folder: made if it does not exist.
@@ -69,39 +77,52 @@ class LimapTrackSink:
             raise ConfigError(f"{neighbours} neighbours: give an even number, as many before as after each image")
         self._folder = Path(folder)
         check_folder(self._folder, overwrite)
-        self._segments = self._folder / "line_detections/lsd/segments"
+        self._segments = self._folder / SEGMENTS
+        self._ids = self._folder / IDS
         self._matches = self._folder / MATCHES / f"lbd_n{neighbours}_top0"
         with errors_of(self._folder):
             for old in _FILES:
                 for path in self._folder.glob(old):  # LIMAP would take them for images of this run
                     path.unlink()
-            for made in (self._segments, self._matches):
+            for made in (self._segments, self._matches, self._ids):
                 made.mkdir(parents=True, exist_ok=True)
         self._neighbours = neighbours
         self._images = OutputFile(self._folder / IMAGES, overwrite=True)
         with self._images.writing() as file:
-            file.write(b"image_id,stamp_ns\n")
+            file.write(b"image_id,stamp_ns,name\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
         self._camera = ""
-        self._last = -1
+        self._last, self._last_name, self._in_order = -1, "", True
 
     def write(self, result: FrameResult) -> None:
         """Add one frame."""
         tracks = result.tracks
-        image = tracks.frame_index
-        if not self._last < image <= _LARGEST_ID:
-            raise InputError(f"cannot write '{self._folder}': frame {image} follows frame {self._last}")
-        self._last = image
-        with self._images.writing() as file, errors_of(self._folder):
-            if tracks.camera is not None:
+        if not self._last < tracks.frame_index < _LARGEST_ID:
+            raise InputError(f"cannot write '{self._folder}': frame {tracks.frame_index} follows frame {self._last}")
+        name = result.frame.name or f"{tracks.frame_index:06d}.png"
+        if self._in_order and name < self._last_name:
+            log.warning("COLMAP sorts '%s' before '%s': take its ids with python -m logs.colmap", name, self._last_name)
+            self._in_order = False
+        self._last, self._last_name = tracks.frame_index, name
+        if tracks.camera is not None:
+            with self._images.writing(), errors_of(self._folder):
                 self._write_camera(tracks.camera)
-            segments, ids = _lines(tracks)
+        self.add(tracks.frame_index + 1, name, tracks.stamp_ns, *_lines(tracks))
+
+    def add(
+        self, image: int, name: str, stamp_ns: int | str, segments: NDArray[np.float64], ids: NDArray[np.int64]
+    ) -> None:
+        """Add an image's lines as they go into its file: (K, 4) px, as COLMAP counts them, and (K,) track ids."""
+        with self._images.writing() as file, errors_of(self._folder):
             self._match(image, ids)
             text = f"{len(segments)}\n" + "%.4f %.4f %.4f %.4f\n" * len(segments) % tuple(segments.ravel().tolist())
             part = self._segments.with_suffix(".tmp")  # LIMAP takes every file in the folder for segments
             with whole_file(self._segments / f"segments_{image}.txt", part) as lines:
                 lines.write(text.encode("ascii"))
-            file.write(b"%d,%d\n" % (image, tracks.stamp_ns))
+            (self._ids / f"track_ids_{image}.txt").write_text("".join(f"{one}\n" for one in ids.tolist()), "ascii")
+            row = io.StringIO()
+            csv.writer(row, lineterminator="\n").writerow((image, stamp_ns, name))
+            file.write(row.getvalue().encode("utf-8", "surrogateescape"))
             file.flush()
 
     def close(self) -> None:
@@ -155,8 +176,7 @@ def _lines(tracks: LineTracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 def finish_folder(folder: Path, neighbours: int) -> int:
     """Write the table of neighbours of the images in `images.csv`, without limits on the scene; returns how many."""
     with errors_of(folder / NEIGHBOURS):
-        rows = (folder / IMAGES).read_text(encoding="ascii").splitlines()[1:]
-        images = [row.split(",")[0] for row in rows]
+        images = [image for image, *_ in listed(folder)]
         lines = [f"number of images, {len(images)}", *(f"{axis}-range, -inf, inf" for axis in "xyz")]
         for k, image in enumerate(images):
             around = images[max(k - neighbours // 2, 0) : k] + images[k + 1 : k + 1 + neighbours // 2]
@@ -167,8 +187,19 @@ def finish_folder(folder: Path, neighbours: int) -> int:
 
 def repair_folder(folder: Path) -> int:
     """Finish the folder of a run that never ended; returns how many images it has, raises InputError."""
+    return finish_folder(folder, neighbours_of(folder))
+
+
+def neighbours_of(folder: Path) -> int:
+    """How many neighbours an image has in a folder of ours; raises InputError for any other."""
     names = sorted(path.name for path in (folder / MATCHES).glob("lbd_n*_top0"))
     count = names[0].removeprefix("lbd_n").removesuffix("_top0") if names else ""
     if not count.isdecimal() or not (folder / IMAGES).is_file():
-        raise InputError(f"'{folder}' is no folder of tracks for LIMAP: there is nothing to repair")
-    return finish_folder(folder, int(count))
+        raise InputError(f"'{folder}' is no folder of tracks for LIMAP")
+    return int(count)
+
+
+def listed(folder: Path) -> list[list[str]]:
+    """Image id, stamp and name of the images that are complete."""
+    with (folder / IMAGES).open(encoding="utf-8", errors="surrogateescape", newline="") as file:
+        return list(csv.reader(file))[1:]

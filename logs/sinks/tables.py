@@ -6,10 +6,13 @@ that is readable up to its last whole batch. Every batch holds whole frames, and
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
@@ -25,6 +28,7 @@ from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
 _ROWS_WAITING = 50_000  # at most, 11 MB
 _GROUP_ROWS = 100_000  # 22 MB
 _DESCRIPTOR_LENGTH = 6  # of a CSV file without rows
+_NOT_IN_CSV = ("descriptor", *FRAME_COLUMNS)
 
 
 def _is_due(output: OutputFile, frames: list[LineTracks]) -> bool:
@@ -134,12 +138,19 @@ class CsvTrackSink:
     """Writes each frame's tracks into a CSV file, one line per observation; a `Sink`.
 
     The columns are those of the Parquet file, with the descriptor as d0, d1, ... and without what belongs to a whole
-    frame. Numbers have the shortest text that reads back as the same float32; an empty field means that there is none.
-    Arguments and errors are those of `OutputFile`.
+    frame. Floats have the shortest text that reads back as the same float32, always with a point or an exponent, and
+    NaN where there is none: whatever stands in the first lines, readers that guess types find the right ones. All
+    frames, those without lines too, are listed in NAME.frames.csv, with their number of lines and the reason of a
+    reset; not where the file is a pipe or device. Arguments and errors are those of `OutputFile`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        self._output = OutputFile(Path(path), overwrite)
+        path = Path(path)
+        table = path.with_suffix(".frames.csv")
+        for new in (path, table):
+            check_new(new, overwrite)
+        self._output = OutputFile(path, overwrite)
+        self._table = OutputFile(table, overwrite) if path.is_file() else None
         self._frames: list[LineTracks] = []
         self._descriptor_length: int | None = None
         self._header_written = False
@@ -147,38 +158,56 @@ class CsvTrackSink:
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
         tracks = result.tracks
-        if not len(tracks):
-            return
         length = tracks.descriptors.shape[1]
-        if self._descriptor_length not in (None, length):
-            raise InputError(
-                f"'{self._output.path}' has columns for {self._descriptor_length} numbers of a descriptor, "
-                f"but frame {tracks.frame_index} has {length}"
-            )
-        self._descriptor_length = length
+        if len(tracks):
+            if self._descriptor_length not in (None, length):
+                raise InputError(
+                    f"'{self._output.path}' has columns for {self._descriptor_length} numbers of a descriptor, "
+                    f"but frame {tracks.frame_index} has {length}"
+                )
+            self._descriptor_length = length
         self._frames.append(tracks)
         if _is_due(self._output, self._frames):
             self._flush()
 
     def close(self) -> None:
         """Write the rest; safe to call twice."""
-        if self._output.is_open:
-            self._flush()
-            self._output.close()
+        try:
+            if self._output.is_open:
+                self._flush()
+                self._output.close()
+        finally:
+            if self._table is not None:
+                self._table.close()
 
     def _flush(self) -> None:
-        table = to_batch(self._frames)
+        table, listed = to_batch(self._frames), io.StringIO()
+        rows = csv.writer(listed, lineterminator="\n")
+        if not self._header_written:
+            rows.writerow(("frame", "stamp_ns", "lines", "reset"))
+        rows.writerows((one.frame_index, one.stamp_ns, len(one), one.reset) for one in self._frames)
         self._frames = []
         length = _DESCRIPTOR_LENGTH if self._descriptor_length is None else self._descriptor_length
         descriptors = table.column("descriptor").flatten().to_numpy().reshape(len(table), length)
-        table = table.drop_columns(["descriptor", *FRAME_COLUMNS])
-        for k in range(length):
-            table = table.append_column(f"d{k}", pa.array(descriptors[:, k]))
+        columns = dict(zip(table.schema.names, table.columns, strict=True))
+        columns |= {f"d{k}": pa.array(descriptors[:, k]) for k in range(length)}
+        columns = {name: _as_text(column) for name, column in columns.items() if name not in _NOT_IN_CSV}
         text = pa.BufferOutputStream()
         if not self._header_written:
-            text.write((",".join(table.schema.names) + "\n").encode("ascii"))
-        pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(include_header=False))
-        with self._output.writing() as file:
-            file.write(text.getvalue())
-            file.flush()
+            text.write((",".join(columns) + "\n").encode("ascii"))
+        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+        pyarrow.csv.write_csv(pa.table(columns), text, options)
+        for output, written in ((self._output, text.getvalue()), (self._table, listed.getvalue().encode())):
+            if output is not None:
+                with output.writing() as file:
+                    file.write(written)
+                    file.flush()
         self._header_written = True
+
+
+def _as_text(column: pa.Array) -> pa.Array:
+    """Floats in a form that pandas, polars and DuckDB all take for floats, in any line; other columns as they are."""
+    if not pa.types.is_floating(column.type):
+        return column
+    numbers = pa.array(column.to_numpy(zero_copy_only=False), from_pandas=True)  # null for NaN
+    return pc.replace_substring_regex(numbers.cast(pa.string()), r"^-?\d+$", r"\0.0").fill_null("NaN")

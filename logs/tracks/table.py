@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import orjson
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
@@ -38,6 +39,8 @@ _DAMAGED = "its rows are damaged"
 
 def _columns(one: Field) -> list[pa.Field]:
     kind, nullable, meaning = pa.from_numpy_dtype(one.dtype), one in DERIVED, one.meaning
+    if one.words:
+        kind, meaning = pa.string(), " or ".join(one.words)
     if one.rows != "seen":
         nullable, meaning = True, f"in the first row of each frame, null in the others: {meaning}"
     if one.rows != "seen" or one.shape == (-1,):
@@ -56,9 +59,13 @@ SCHEMA = pa.schema(
         *(column for one in (*_SEEN, *_PER_FRAME) for column in _columns(one)),
         pa.field("reset", pa.string(), True, {"description": "in the first row of each frame: why all tracks ended"}),
     ],
-    metadata={"title": "tracked line segments, one row per observation", **CONVENTIONS},
+    metadata={
+        "title": "tracked line segments, one row per observation",
+        **{name: text for name, text in CONVENTIONS.items() if name != "states"},  # the column has words
+    },
 )
 FRAME_COLUMNS = [name for one in _PER_FRAME for name, _ in one.numbers] + ["reset"]
+_WORDS = {one.numbers[0][0]: one for one in FIELDS if one.words}
 _LATER = {name for one in FIELDS if one.older is not None for name, _ in one.numbers}
 _DERIVED = {name for one in DERIVED for name, _ in one.numbers}
 
@@ -78,7 +85,11 @@ class TableNotes:
     def to_metadata(self) -> dict[str, bytes]:
         """As JSON texts."""
         cameras = [{"from": place, "camera": Camera.of(camera)} for place, camera in self.cameras.items()]
-        empty = [{"place": place, "tracks": orjson.Fragment(encode_tracks(t))} for place, t in self.empty.items()]
+        empty = [
+            {"place": place, "frame": int(t.frame_index), "stamp_ns": int(t.stamp_ns), "reset": t.reset}
+            | {"tracks": orjson.Fragment(encode_tracks(t))}
+            for place, t in self.empty.items()
+        ]
         return {
             "cameras": orjson.dumps(cameras, default=msgspec.to_builtins),
             "frames without rows": orjson.dumps(empty),
@@ -130,6 +141,8 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
         elif one.shape == (-1,):
             ends = np.cumsum([0, *np.repeat(np.array([value.shape[1] for value in values], np.int64), counts)])
             columns[names[0]] = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
+        elif one.words:
+            columns[names[0]] = pa.array(one.words).take(pa.array(flat))
         else:
             columns |= zip(names, flat.reshape(-1, len(names)).T, strict=True)
     no_camera = np.repeat(np.array([tracks.camera is None for tracks in frames], np.bool_), counts)
@@ -153,7 +166,10 @@ def needed_columns(schema: pa.Schema) -> list[str]:
     """What `read_frames` takes of a table; raises InputError for one that has not our columns."""
     needed = [name for name in SCHEMA.names if name not in _DERIVED and (name not in _LATER or name in schema.names)]
     for name in needed:
-        if schema.names.count(name) != 1 or schema.field(name).type != SCHEMA.field(name).type:
+        types = [SCHEMA.field(name).type]
+        if name in _WORDS:  # older files have the numbers
+            types.append(pa.from_numpy_dtype(_WORDS[name].dtype))
+        if schema.names.count(name) != 1 or schema.field(name).type not in types:
             raise InputError(
                 f"it has no column '{name}' of type {SCHEMA.field(name).type}: these are no tracks of ours"
             )
@@ -211,6 +227,10 @@ def _frames_with_rows(batches: Iterable[pa.RecordBatch]) -> Iterator[_Frame]:
 def _split(rows: pa.Table) -> Iterator[_Frame]:
     """Some whole frames."""
     columns = {name: rows.column(name).combine_chunks() for name in rows.column_names}
+    for name, one in _WORDS.items():
+        if pa.types.is_string(columns[name].type):
+            unknown = int(np.iinfo(one.dtype).max)
+            columns[name] = pc.index_in(columns[name], pa.array(one.words)).fill_null(unknown).cast(one.dtype.name)
     starts = np.flatnonzero(columns["lost_ids"].is_valid())
     frames, stamps = _numbers(columns["frame"]), _numbers(columns["stamp_ns"])
     fixed, open_rows = {}, {}

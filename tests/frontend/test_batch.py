@@ -126,7 +126,7 @@ def test_what_has_changed_is_run_again(clip: Path, tmp_path: Path, monkeypatch: 
     other = ["--stride", 2, "--serial", "--preset", "fast", "--calib", "cam.json", "--write", *OUTPUTS]
     assert batch(logs[0], "--out", out, *other).code == 0
     assert {(row["status"], row["frames"]) for row in report_of(out).values()} == {("done", FRAMES // 2)}
-    assert {path.name for path in (out / "a").iterdir()} == {*OUTPUTS.values(), "summary.json"}
+    assert {path.name for path in (out / "a").iterdir()} == {*OUTPUTS.values(), "tracks.frames.csv", "summary.json"}
     assert batch(logs[0], "--out", out, *other).code == 0
     assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "skipped")]
     assert visible(out) == {"a", "b"}

@@ -75,12 +75,16 @@ def frames_of_tracks(path: Path) -> list[int]:
 
 
 def frames_of_csv(path: Path) -> list[int]:
-    if not path.exists():
+    if not path.with_suffix(".frames.csv").exists():
         return []
     with path.open() as file:
         rows = list(csv.DictReader(file))
     assert all(None not in row.values() and row["d5"] for row in rows), "whole lines"
-    return list(dict.fromkeys(int(row["frame"]) for row in rows))
+    with path.with_suffix(".frames.csv").open() as file:
+        listed = [int(row["frame"]) for row in csv.DictReader(file)]
+    found = list(dict.fromkeys(int(row["frame"]) for row in rows))
+    assert listed in (found, found[: len(listed)])
+    return listed
 
 
 def frames_of_limap(folder: Path) -> list[int]:
@@ -90,7 +94,8 @@ def frames_of_limap(folder: Path) -> list[int]:
     for image in images:
         assert (folder / f"line_detections/lsd/segments/segments_{image}.txt").stat().st_size > 0
         assert (folder / f"line_matchings/lsd/feats_lbd/lbd_n20_top0/matches_{image}.npy").stat().st_size > 0
-    return list(map(int, images))
+        assert (folder / f"track_ids/track_ids_{image}.txt").stat().st_size > 0
+    return [int(image) - 1 for image in images]
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # what tells a file that was never finished

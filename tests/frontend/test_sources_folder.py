@@ -182,3 +182,27 @@ def test_nothing_there(tmp_path: Path) -> None:
     for fps in (0, -1, 1e-300, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match="frame rate"):
             FolderSource(tmp_path, fps=fps)
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ("flat", ["1.png", "a b.png"]),
+        ("flat/*", ["1.png", "a b.png"]),
+        ("flat/1.png", ["1.png"]),
+        ("*/*.png", ["flat/1.png", "flat/a b.png", "other/1.png"]),
+        ("tum", ["7.png"]),
+        ("euroc", ["1403636579763555584.png"]),
+    ],
+)
+def test_frames_have_their_files_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str, names: list[str]
+) -> None:
+    write(tmp_path / "flat", ["1.png", "a b.png"])
+    write(tmp_path / "other", ["1.png"])
+    write(tmp_path / "tum" / "rgb", ["7.png"])
+    (tmp_path / "tum" / "rgb.txt").write_text("7 rgb/7.png\n")
+    write(tmp_path / "euroc" / "mav0" / "cam0" / "data", ["1403636579763555584.png"])
+    monkeypatch.chdir(tmp_path)
+    for spec in (given, tmp_path / given):
+        assert [frame.name for frame in FolderSource(spec)] == names

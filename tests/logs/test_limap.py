@@ -56,16 +56,18 @@ def folder(tmp_path_factory):
 
 def test_segments_have_their_origin_at_the_pixels_corner(folder):
     segments = read_segments(folder)
-    assert segments.keys() == set(range(12))
+    assert segments.keys() == set(range(1, 13))
     for result in clip_results():
         tracks = result.tracks
-        np.testing.assert_allclose(segments[tracks.frame_index], tracks.segments_px.reshape(-1, 4) + 0.5, atol=6e-5)
+        np.testing.assert_allclose(segments[tracks.frame_index + 1], tracks.segments_px.reshape(-1, 4) + 0.5, atol=6e-5)
 
 
 def test_matches_are_rows_of_the_same_track(folder):
-    ids = {result.tracks.frame_index: result.tracks.ids for result in clip_results()}
+    ids = {result.tracks.frame_index + 1: result.tracks.ids for result in clip_results()}
     neighbours = read_neighbours(folder)
     for image in ids:
+        written = np.loadtxt(folder / f"track_ids/track_ids_{image}.txt", np.int64)
+        np.testing.assert_array_equal(written, ids[image])
         matches = read_matches(folder, image)
         assert (
             set(matches) == set(neighbours[image]) == {k for k in range(image - 10, image + 11) if k in ids} - {image}
@@ -84,19 +86,19 @@ def test_matches_are_complete_while_it_runs(tmp_path):
     for frame in frames:
         sink.write(result_of(made_tracks(frame, frame, rng.choice(40, 20, replace=False), rng)))
         done = [int(line.split(",")[0]) for line in (tmp_path / "limap/images.csv").read_text().splitlines()[1:]]
-        assert done == frames[: len(done)]
-        assert done[-1] == frame
+        assert done == [one + 1 for one in frames[: len(done)]]
+        assert done[-1] == frame + 1
         for k, image in enumerate(done):
             before, after = set(done[max(k - 2, 0) : k]), set(done[k + 1 : k + 3])
             assert set(read_matches(tmp_path / "limap", image, 4)) in (before, before | after)
     sink.close()
     assert read_neighbours(tmp_path / "limap") == {
-        3: [5, 6], 5: [3, 6, 9], 6: [3, 5, 9, 10], 9: [5, 6, 10, 20], 10: [6, 9, 20], 20: [9, 10]
+        4: [6, 7], 6: [4, 7, 10], 7: [4, 6, 10, 11], 10: [6, 7, 11, 21], 11: [7, 10, 21], 21: [10, 11]
     }  # fmt: skip
-    assert set(read_matches(tmp_path / "limap", 6, 4)) == {3, 5, 9, 10}
+    assert set(read_matches(tmp_path / "limap", 7, 4)) == {4, 6, 10, 11}
     (tmp_path / "limap/metainfos.txt").unlink()
     assert main([str(tmp_path / "limap")]) == 0  # python -m logs.repair
-    assert read_neighbours(tmp_path / "limap")[20] == [9, 10]
+    assert read_neighbours(tmp_path / "limap")[21] == [10, 11]
 
 
 def test_lines_are_undistorted_for_the_camera_in_the_folder(tmp_path):
@@ -106,7 +108,7 @@ def test_lines_are_undistorted_for_the_camera_in_the_folder(tmp_path):
     assert (camera_id, model) == ("1", "PINHOLE")
     width, height, fx, fy, cx, cy = map(float, numbers)
     assert (width, height, cx, cy) == (320, 240, CAMERA.cx + 0.5, CAMERA.cy + 0.5)
-    found = read_segments(tmp_path / "limap")[0].reshape(-1, 2)
+    found = read_segments(tmp_path / "limap")[1].reshape(-1, 2)
     rays = np.column_stack([(found[:, 0] - cx) / fx, (found[:, 1] - cy) / fy, np.ones(len(found))])
     zero = np.zeros(3)
     pixels = cv2.projectPoints(rays.reshape(-1, 1, 3), zero, zero, CAMERA.matrix, CAMERA.coefficients)[0]
@@ -119,8 +121,8 @@ def test_lines_that_cannot_be_undistorted_are_left_out(tmp_path):
     stream = [made_tracks(k, k, np.arange(5), rng, camera=camera) for k in range(2)]
     stream[0].segments_px[2, 1] = 1e5
     write(tmp_path / "limap", stream)
-    assert len(read_segments(tmp_path / "limap")[0]) == 4
-    assert read_matches(tmp_path / "limap", 0)[1].tolist() == [[0, 0], [1, 1], [2, 3], [3, 4]]
+    assert len(read_segments(tmp_path / "limap")[1]) == 4
+    assert read_matches(tmp_path / "limap", 1)[2].tolist() == [[0, 0], [1, 1], [2, 3], [3, 4]]
 
 
 def test_files_of_an_earlier_run_go_and_others_stay(tmp_path):
@@ -128,8 +130,8 @@ def test_files_of_an_earlier_run_go_and_others_stay(tmp_path):
     write(tmp_path / "limap", stream)
     (tmp_path / "limap/notes.txt").write_text("mine")
     write(tmp_path / "limap", stream[:2], overwrite=True)
-    assert read_segments(tmp_path / "limap").keys() == {0, 1}
-    assert set(read_neighbours(tmp_path / "limap")) == {0, 1}
+    assert read_segments(tmp_path / "limap").keys() == {1, 2}
+    assert set(read_neighbours(tmp_path / "limap")) == {1, 2}
     assert (tmp_path / "limap/notes.txt").read_text() == "mine"
 
 

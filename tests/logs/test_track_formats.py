@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -122,7 +123,10 @@ def test_files_from_before_a_field_have_what_stands_for_it(tmp_path: Path) -> No
     path = write(stream, tmp_path / "t.parquet")
     table, notes = pq.read_table(path), pq.ParquetFile(path).metadata.metadata
     columns = {name for field in (*later, *DERIVED) for name, _ in field.numbers}
-    with pq.ParquetWriter(path, (old := table.drop_columns(sorted(columns))).schema) as writer:
+    old = table.drop_columns(sorted(columns))
+    numbers = pa.array(np.concatenate([tracks.states for tracks in stream]))  # before there were words
+    old = old.set_column(old.column_names.index("state"), pa.field("state", pa.uint8(), False), numbers)
+    with pq.ParquetWriter(path, old.schema) as writer:
         writer.write_table(old)
         writer.add_key_value_metadata({key: notes[key] for key in (b"cameras", b"frames without rows")})
     found = [

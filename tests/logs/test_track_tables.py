@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -90,8 +91,7 @@ def test_normalized_numbers_are_null_without_a_camera_and_nan_out_of_its_reach(t
     write(tmp_path / "t.csv", stream)
     with (tmp_path / "t.csv").open() as file:
         values = [row[name] for row in csv.DictReader(file)]
-    assert values[:2] == ["", ""]
-    assert values[2] == "nan"
+    assert [value == "NaN" for value in values] == [True, True, True, *[False] * 3, True, True]
 
 
 def test_csv_holds_the_same_numbers(tmp_path, path, clip):
@@ -109,6 +109,15 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
         np.testing.assert_array_equal(np.array([row[name] for row in rows]).astype(values.dtype), values, err_msg=name)
     found = np.array([[row[f"d{k}"] for k in range(6)] for row in rows]).astype(np.float32)
     np.testing.assert_array_equal(found, np.concatenate([t.descriptors for t in clip]))
+
+
+def test_csv_lists_frames_where_it_can(tmp_path):
+    (tmp_path / "t.frames.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"t\.frames\.csv' exists"):
+        CsvTrackSink(tmp_path / "t.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["t.frames.csv"]
+    write_all(CsvTrackSink("/dev/null", overwrite=True), [])
+    assert not Path("/dev/null.frames.csv").exists()
 
 
 def test_csv_without_rows_has_a_header(tmp_path):
@@ -155,7 +164,8 @@ def column(name, values):
         (column("lost_ids", lambda values: [None] * len(values)), "first of a frame"),
         (column("ended_ids", lambda values: [None] * len(values)), "lists are missing"),
         (column("lost_ids", lambda values: [v if v is None else [*v, 7] for v in values]), "different lengths"),
-        (column("state", lambda values: [9] * len(values)), "unknown state"),
+        (column("state", lambda values: ["lost", *values[1:]]), "unknown state"),
+        (column("state", lambda values: [None, *values[1:]]), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
         (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
         (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
