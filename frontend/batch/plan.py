@@ -18,6 +18,7 @@ import msgspec
 
 from airline.errors import ConfigError, InputError
 from frontend.batch.job import OUTPUTS, REPORT, SUMMARY, Job, JobSettings, Row, row_of
+from frontend.camera.layouts import calibration_beside
 from frontend.cli.settings import RunConfig
 
 log = logging.getLogger(__name__)
@@ -106,8 +107,8 @@ def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
         table[key] = str(Path(table[key]).absolute())
         files[table[key]] = fingerprint(Path(table[key]))
 
-    if chosen["calib"] is not None:
-        read_calibration(chosen["calib"])
+    if config.input.calib_file is not None:
+        read_calibration(config.input.calib_file)
         own(chosen, "calib")
     if edges["detector"] == "unet":
         load_weights(edges["weights"])
@@ -145,6 +146,9 @@ def make_plan(
     for path in paths:
         name, summary = results.get(str(path)) or (names[path], {})
         made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings.made_with}
+        beside = calibration_beside(path) if settings.config.input.calib is None and path.is_dir() else None
+        if beside is not None:  # it may lie above the folder
+            made_from["files"] = {**made_from["files"], str(beside): fingerprint(beside)}
         job = Job(name, str(path), out / name, made_from)
         if summary.get("made_from") == job.made_from and not overwrite:
             rows[name] = row_of(job, "skipped", summary)

@@ -80,7 +80,8 @@ def _image_files() -> list[bytes]:
 
 
 def _calibrations() -> list[bytes]:
-    return [getattr(calibrations, name).encode() for name in ("EUROC", "KALIBR", "ROS", "OPENCV", "JSON")]
+    names = ("EUROC", "KALIBR", "ROS", "OPENCV", "JSON", "KITTI", "KITTI_RAW", "ICL", "SCANNET", "TUM", "DSO")
+    return [getattr(calibrations, name).encode() for name in names]
 
 
 def _weights() -> bytes:
