@@ -18,7 +18,6 @@ import msgspec
 
 from airline.errors import ConfigError, InputError
 from frontend.batch.job import OUTPUTS, REPORT, SUMMARY, Job, JobSettings, Row, row_of
-from frontend.camera.layouts import calibration_beside
 from frontend.cli.settings import RunConfig
 
 log = logging.getLogger(__name__)
@@ -133,6 +132,8 @@ def make_plan(
     Returns:
         A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
+    from frontend.camera.layouts import calibration_beside
+
     results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
     for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
         with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
