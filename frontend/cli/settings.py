@@ -31,9 +31,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     reconnect: Annotated[float, Meta(ge=0, description="try a stream that drops again for S seconds")] = 60.0
     topic: Annotated[str, Meta(description="image topic")] | None = None
     time_source: Annotated[Literal["header", "publish", "log"], Meta(description="where times come from")] = "header"
-    calib: Annotated[str, Meta(description="calibration file; none: without (default: what the input has)")] | None = (
-        None
-    )
+    calib: Annotated[str, Meta(description="calibration file, or none (default: the input's)")] | None = None
     undistort: Annotated[bool, Meta(description="remove lens distortion before detection")] = False
 
     def __post_init__(self) -> None:

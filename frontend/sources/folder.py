@@ -105,7 +105,7 @@ class FolderSource(Source):
             camera = fit_camera(self._found.camera, width, height)
         except InputError as error:
             log.warning("going on without '%s': %s", self._found.file, error)
-            self._found = self.calibration = None
+            self._found = None
             return None
         if camera is not self._found.camera:
             self._found = replace(self._found, camera=camera)

@@ -101,6 +101,7 @@ def test_one_that_makes_no_sense_costs_a_warning(tmp_path, caplog, name, text, s
     file = write(tmp_path / name, text)
     source = open_source(folder)
     assert [frame.camera for frame in source] == [None] * 3
+    assert source.calibration is None
     (record,) = caplog.records
     assert record.getMessage().startswith("going on without ")
     assert said in record.getMessage()
@@ -116,8 +117,10 @@ def test_images_of_another_size_on_the_way(tmp_path: Path, caplog: pytest.LogCap
     write(folder / "calib.yaml", EUROC)
     cv2.imwrite(str(folder / f"{FIRST + 10**9}.png"), np.zeros((240, 376), np.uint8))
     cv2.imwrite(str(folder / f"{FIRST + 2 * 10**9}.png"), np.zeros((480, 480), np.uint8))
-    found = [frame.camera and (frame.camera.width, round(frame.camera.fx, 3)) for frame in open_source(folder)]
+    source = open_source(folder)
+    found = [frame.camera and (frame.camera.width, round(frame.camera.fx, 3)) for frame in source]
     assert found == [(752, 458.654)] * 2 + [(376, 229.327), None]
+    assert source.calibration is not None
     assert len(caplog.records) == 1
 
 
