@@ -44,6 +44,7 @@ class Source:
         skipped: frames so far that could not be read.
         dropped: frames so far for which there was no time.
         reconnects: how often the stream was lost and came back.
+        calibration: for people, the file that its frames' camera is from, as far as that is known; None for another.
         first_stamp_ns: stamp of the first frame, from which `seek` counts; None for a source that cannot seek.
     """
 
@@ -63,13 +64,15 @@ class Source:
         @property
         def reconnects(self) -> int: ...
         @property
+        def calibration(self) -> str | None: ...
+        @property
         def first_stamp_ns(self) -> int | None: ...
 
     else:
         name = "source"
         live = False
         skipped = dropped = reconnects = 0
-        frame_count = first_stamp_ns = None
+        frame_count = first_stamp_ns = calibration = None
 
     def __iter__(self) -> Iterator[Frame]:
         raise NotImplementedError

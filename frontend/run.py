@@ -15,6 +15,7 @@ from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, InputError
 from frontend.cli import wiring
 from frontend.cli.flags import build_parser, settings_of
+from frontend.cli.settings import NO_CALIBRATION
 from frontend.cli.signals import ending_like_interrupts, exit_code_of
 from frontend.cli.terminal import progress, set_up_logging
 
@@ -73,6 +74,9 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             save, viewer = wiring.where_to_record(options, source.name, server)
 
             def sinks() -> Iterator[Sink]:  # opens them, when the first frame is there
+                if source.calibration is not None:
+                    hint = "" if config.input.calib else f"; --calib {NO_CALIBRATION} leaves it out"
+                    print(f"calibration: {source.calibration}{hint}", flush=True)
                 yield from publishers  # first, so that nobody there waits for the others
                 for spec in options.out:
                     yield wiring.open_track_sink(

@@ -12,8 +12,8 @@ from dataclasses import replace
 from itertools import islice, takewhile
 
 from airline.errors import AirLineError, ConfigError, InputError
-from frontend.camera.calibration import LARGEST, MAX_SIDE, fit_camera
-from frontend.camera.model import CameraModel, lens
+from frontend.camera.calibration import fit_camera
+from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
 from logs.files import LogFile
 from logs.messages.readers import is_calibration_type, read_message
 from logs.messages.types import CameraInfo, UndecodableError

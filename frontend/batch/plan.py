@@ -106,8 +106,8 @@ def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
         table[key] = str(Path(table[key]).absolute())
         files[table[key]] = fingerprint(Path(table[key]))
 
-    if chosen["calib"] is not None:
-        read_calibration(chosen["calib"])
+    if config.input.calib_file is not None:
+        read_calibration(config.input.calib_file)
         own(chosen, "calib")
     if edges["detector"] == "unet":
         load_weights(edges["weights"])
@@ -132,6 +132,8 @@ def make_plan(
     Returns:
         A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
+    from frontend.camera.layouts import calibration_beside
+
     results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
     for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
         with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
@@ -145,6 +147,9 @@ def make_plan(
     for path in paths:
         name, summary = results.get(str(path)) or (names[path], {})
         made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings.made_with}
+        beside = calibration_beside(path) if settings.config.input.calib is None and path.is_dir() else None
+        if beside is not None:  # it may lie above the folder
+            made_from["files"] = {**made_from["files"], str(beside): fingerprint(beside)}
         job = Job(name, str(path), out / name, made_from)
         if summary.get("made_from") == job.made_from and not overwrite:
             rows[name] = row_of(job, "skipped", summary)

@@ -1,4 +1,4 @@
-"""Camera calibrations in the files that calibration tools write; what a file is shows in its content."""
+"""Camera calibrations in the files of calibration tools and data sets; what a file is shows in its content."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import logging
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -14,15 +15,15 @@ import msgspec
 from msgspec import Meta, Struct
 
 from airline.errors import ConfigError, InputError
-from frontend.camera.model import CameraModel, lens
+from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
+from frontend.camera.number_files import camera_of, intrinsics, number_rows
 
 log = logging.getLogger(__name__)
 
-MAX_SIDE = 65536  # px
-LARGEST = 1e9  # of any calibrated number; beyond it float32 pixels mean nothing
 _MAX_BYTES = 256 * 1024
 _MAX_DEPTH = 32
 _CAMERA = re.compile(r"cam\d{1,4}")
+_NUMBERED = re.compile(r"(?:cam|image_)0?(\d)")  # folders of EuRoC and KITTI
 _OPENCV_HEADER = re.compile(r"\A%YAML:1\.\d[^\n]*\n")  # a colon for a space
 
 T = TypeVar("T")
@@ -68,42 +69,86 @@ class _Simple(Struct, forbid_unknown_fields=True):
     coefficients: list[_Number] = []
 
 
-def read_calibration(path: str | os.PathLike[str]) -> CameraModel:
-    """Read a camera from a calibration file, with a warning the first one of several.
+@dataclass(frozen=True)
+class Calibration:
+    """A camera out of a file.
+
+    Attributes:
+        file: where it is from.
+        camera: width and height are 0 where the file does not tell the size of its images; `fit_camera` takes it.
+        which: its name in a file with several.
+        y_up: whether the file's y axis points up, with a negative fy, as in ICL-NUIM's.
+    """
+
+    file: Path
+    camera: CameraModel
+    which: str = ""
+    y_up: bool = False
+
+    def __str__(self) -> str:
+        name = os.fsencode(self.file).decode(errors="replace")  # it may hold bytes that are no text
+        return f"{self.which and self.which + ' of '}'{name}', fx {self.camera.fx:.1f} px"
+
+
+def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str] | None = None) -> Calibration:
+    """Read a camera from a calibration file.
+
+    Args:
+        path: the file.
+        images: the images or their folder, whose name tells which of several cameras they are from: `cam1`, `image_2`.
+            It is the first one where no name tells; of a camchain with a warning.
 
     Raises:
         InputError: the file cannot be read, or a field is missing or makes no sense.
         ConfigError: the camera's model is not supported.
     """
     file = Path(path)
-    content = _read(file)
-    tree = content if isinstance(content, dict) else {}
-    chain = {name: entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name)) and isinstance(entry, dict)}
+    text = _read(file)
+    parts = Path(os.path.abspath(images)).parts if images is not None else ()  # noqa: PTH100  keeps links
+    numbers = [int(match[1]) for part in parts[-3:] if (match := _NUMBERED.fullmatch(part))]
+    number = numbers[-1] if numbers else None
     try:
+        if (rows := number_rows(text)) is not None:
+            rectified = not any(part.endswith("_extract") for part in parts)  # KITTI's name for images that are not
+            return Calibration(file, *camera_of(rows, number or 0, rectified=rectified))
+        content = _parsed(text)
+        tree = content if isinstance(content, dict) else {}
+        chain = {str(name): entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name))}
+        chain = {name: entry for name, entry in chain.items() if isinstance(entry, dict)}
         if chain:
-            name = min(chain, key=lambda name: int(name[3:]))
-            if len(chain) > 1:
+            name = min(chain, key=lambda name: (name != f"cam{number}", int(name[3:])))
+            if len(chain) > 1 and number is None:
                 log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
-            return _euroc(chain[name], f"{name}.")
-        for field, camera_of in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
+            return Calibration(file, _euroc(chain[name], f"{name}."), name)
+        for field, camera_in in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
             if field in tree:
-                return camera_of(tree)
+                return Calibration(file, camera_in(tree))
     except (ConfigError, InputError) as error:
         raise type(error)(f"'{file}': {error}") from None
     raise InputError(
-        f"'{file}' is no camera calibration: give a EuRoC sensor.yaml, a Kalibr camchain, a ROS camera_info YAML, or "
-        'JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, "cy": 239.5}'
+        f"'{file}' is no camera calibration: give a EuRoC sensor.yaml, a Kalibr camchain, a ROS camera_info YAML, the "
+        'calib.txt of KITTI or TUM, or JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, '
+        '"cy": 239.5}'
     )
 
 
 def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
     """The camera for images of another resolution, up to a pixel of the same aspect ratio.
 
+    A camera of size 0 is taken to be for these images if its principal point lies in their middle half.
+
     Raises:
         InputError: the images are not the calibrated ones resized.
     """
     if (width, height) == (camera.width, camera.height):
         return camera
+    if not camera.width:
+        if not (width / 4 < camera.cx + 0.5 < 3 * width / 4 and height / 4 < camera.cy + 0.5 < 3 * height / 4):
+            raise InputError(
+                f"the calibration's principal point ({camera.cx:.0f}, {camera.cy:.0f}) is not in the middle half of "
+                f"images of {width}x{height} px: if these were resized, give JSON with the width and height before"
+            )
+        return replace(camera, width=width, height=height)
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise InputError(
             f"the calibration is for images of {camera.width}x{camera.height} px, these have {width}x{height}: "
@@ -125,13 +170,11 @@ def _euroc(tree: Mapping[str, Any], prefix: str = "") -> CameraModel:
 
 def _ros(tree: Mapping[str, Any]) -> CameraModel:
     found = _checked(tree, _Ros)
-    k, model = found.camera_matrix, found.distortion_model
-    if k[1] or k[3] or k[6] or k[7] or k[8] != 1:
-        raise InputError("camera_matrix must be of the form fx 0 cx, 0 fy cy, 0 0 1")
+    model = found.distortion_model
     if model is None:
         model = "equidistant" if found.fisheye_model else "plumb_bob"
     distortion = lens(model, found.distortion_coefficients)
-    return CameraModel(found.image_width, found.image_height, k[0], k[4], k[2], k[5], *distortion)
+    return CameraModel(found.image_width, found.image_height, *intrinsics(found.camera_matrix), *distortion)
 
 
 def _simple(tree: Mapping[str, Any]) -> CameraModel:
@@ -155,12 +198,8 @@ def _checked(tree: Mapping[str, Any], kind: type[T], prefix: str = "") -> T:
         raise InputError(f"{place}{place and ': '}{what[0].lower()}{what[1:]}") from None
 
 
-def _read(path: Path) -> Any:
-    """The content of a small JSON or YAML file; of several YAML documents the first.
-
-    Files come from strangers: long and deeply nested ones are refused, and so are anchors, with which a short file can
-    stand for gigabytes.
-    """
+def _read(path: Path) -> str:
+    """The text of a small file: files come from strangers."""
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
@@ -171,15 +210,21 @@ def _read(path: Path) -> Any:
         raise InputError(f"cannot read '{path}': {error}") from None
     if len(data) > _MAX_BYTES:
         raise InputError(f"'{path}' is longer than the {_MAX_BYTES // 1024} KB that a calibration may have")
+    return text
+
+
+def _parsed(text: str) -> Any:
+    """The content of JSON or YAML; of several YAML documents the first."""
     if text.lstrip().startswith("{"):
         try:
             return json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise InputError(f"'{path}' is not valid JSON: {error}") from None
-    return _yaml(_OPENCV_HEADER.sub("", text), path)
+            raise InputError(f"not valid JSON: {error}") from None
+    return _yaml(_OPENCV_HEADER.sub("", text))
 
 
-def _yaml(text: str, path: Path) -> Any:
+def _yaml(text: str) -> Any:
+    """Deeply nested YAML is refused, and so are anchors, with which a short text can stand for gigabytes."""
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer
     from ruamel.yaml.constructor import SafeConstructor
@@ -192,9 +237,9 @@ def _yaml(text: str, path: Path) -> Any:
         def compose_node(self, parent: Any, index: Any) -> Any:
             anchor = getattr(self.parser.peek_event(), "anchor", None)
             if anchor is not None:
-                raise InputError(f"'{path}' has the YAML anchor '{anchor}': write its value out instead")
+                raise InputError(f"it has the YAML anchor '{anchor}': write its value out instead")
             if self.depth > _MAX_DEPTH:
-                raise InputError(f"'{path}' is nested deeper than {_MAX_DEPTH} levels")
+                raise InputError(f"it is nested deeper than {_MAX_DEPTH} levels")
             self.depth += 1
             node = super().compose_node(parent, index)
             self.depth -= 1
@@ -218,4 +263,4 @@ def _yaml(text: str, path: Path) -> Any:
         problem = (getattr(error, "problem", None) or str(error)).partition("\n")[0]
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"'{path}' is not valid YAML{where}: {problem}") from None
+        raise InputError(f"not valid YAML{where}: {problem}") from None

@@ -19,13 +19,17 @@ from frontend.camera.distortion import (
 )
 
 Distortion = Literal["none", "radial-tangential", "equidistant"]
+MAX_SIDE = 65536  # px, of an image that a file declares
+LARGEST = 1e9  # of any calibrated number; beyond it float32 pixels mean nothing
 COUNTS: dict[str, tuple[int, ...]] = {"none": (0,), "radial-tangential": (4, 5, 8), "equidistant": (4,)}
 """How many coefficients a distortion takes."""
 _NONE = frozenset({"", "none", "no_distortion", "pinhole"})
 _RADIAL_TANGENTIAL = frozenset(
     {"plumb_bob", "rational_polynomial", "radtan", "radial_tangential", "radialtangential", "brown_conrady"}
 )
-_EQUIDISTANT = frozenset({"equidistant", "equi", "fisheye", "opencv_fisheye", "kannala_brandt", "kannala_brandt4"})
+_EQUIDISTANT = frozenset(
+    {"equidistant", "equi", "fisheye", "opencv_fisheye", "kannala_brandt", "kannala_brandt4", "kannalabrandt"}
+)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from airline.config import DetectorConfig, Preset, Runtime, preset
 from airline.errors import ConfigError, InputError
 from frontend.tracking.config import TrackerConfig
 
+NO_CALIBRATION = "none"
+
 
 class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which frames of the input are used, and with which camera."""
@@ -29,7 +31,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     reconnect: Annotated[float, Meta(ge=0, description="try a stream that drops again for S seconds")] = 60.0
     topic: Annotated[str, Meta(description="image topic")] | None = None
     time_source: Annotated[Literal["header", "publish", "log"], Meta(description="where times come from")] = "header"
-    calib: Annotated[str, Meta(description="EuRoC, Kalibr or ROS YAML, or JSON (default: the log's)")] | None = None
+    calib: Annotated[str, Meta(description="calibration file, or none (default: the input's)")] | None = None
     undistort: Annotated[bool, Meta(description="remove lens distortion before detection")] = False
 
     def __post_init__(self) -> None:
@@ -37,6 +39,11 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if self.end is not None and self.end <= start:
             raise ConfigError(f"end must be later than start, and {self.end:g} s is not later than {start:g} s")
         _ = self.size
+
+    @property
+    def calib_file(self) -> str | None:
+        """`calib` where it names a file."""
+        return None if self.calib == NO_CALIBRATION else self.calib
 
     @property
     def size(self) -> tuple[int, int | None] | None:

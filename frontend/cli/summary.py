@@ -33,10 +33,12 @@ class Summary:
         measured_share: the same, as a share of all observations.
         left_out_per_frame: mean number of tracks seen beyond `max_lines`.
         tracks: number of tracks handed out that were confirmed.
+        ids: number of all tracks handed out, those that stayed tentative too: so many ids are in the files.
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
         dropped_frames: frames of a live source that there was no time for.
         reconnects: how often a network stream was lost and came back.
+        calibration: where the camera of a folder's or a file's frames is from; None for logs and where it is unknown.
     """
 
     frames: int
@@ -50,10 +52,12 @@ class Summary:
     measured_share: float
     left_out_per_frame: float
     tracks: int
+    ids: int
     track_length_median: float
     skipped_frames: int
     dropped_frames: int
     reconnects: int = 0
+    calibration: str | None = None
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values, for JSON."""
@@ -75,7 +79,7 @@ class Summary:
             "stable tracks per frame": f"{self.stable_tracks_per_frame:.1f}",
             "measured per frame": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
             **({"left out per frame": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
-            "tracks": f"{self.tracks}",
+            "tracks": f"{self.tracks} confirmed of {self.ids} ids",
             "median track length, frames": f"{self.track_length_median:g}",
         }
         table = Table(show_header=False)
@@ -137,8 +141,10 @@ class SummaryCounter:
             measured_share=round(measured / live, 4) if live else 0.0,
             left_out_per_frame=round(left_out, 2),
             tracks=sum(lengths.values()),
+            ids=sum(n for hits, n in of_all.items() if hits),
             track_length_median=float(np.median(sizes)),
             skipped_frames=source.skipped,
             dropped_frames=source.dropped,
             reconnects=source.reconnects,
+            calibration=source.calibration,
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.errors import ConfigError, InputError
+from frontend.cli.settings import NO_CALIBRATION
 
 if TYPE_CHECKING:
     import argparse
@@ -34,15 +35,15 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     """
     from frontend.sources import open_source
     from frontend.sources.pace import FreshFrames, RealtimeSource
-    from frontend.sources.wrapped import CalibratedFrames, SelectedFrames
+    from frontend.sources.wrapped import CalibratedFrames, SelectedFrames, UncalibratedFrames
     from logs.files import is_log
 
     chosen = config.input
-    camera = None
-    if chosen.calib is not None:
+    calibration = None
+    if chosen.calib_file is not None:
         from frontend.camera.calibration import read_calibration
 
-        camera = read_calibration(chosen.calib)
+        calibration = read_calibration(chosen.calib_file, spec)
     source: Source
     if spec is None:
         from frontend.sources.scene import SceneSource
@@ -55,9 +56,11 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     elif chosen.topic is not None:
         raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
     else:
-        source = open_source(spec, fps=chosen.fps, reconnect_s=chosen.reconnect)
-    if camera is not None or chosen.undistort:
-        source = CalibratedFrames(source, camera, undistort=chosen.undistort)
+        source = open_source(spec, fps=chosen.fps, reconnect_s=chosen.reconnect, calibrated=chosen.calib is None)
+    if chosen.calib == NO_CALIBRATION:
+        source = UncalibratedFrames(source)
+    if calibration is not None or chosen.undistort:
+        source = CalibratedFrames(source, calibration, undistort=chosen.undistort)
     source = SelectedFrames(
         source,
         start_s=chosen.start,

@@ -56,7 +56,7 @@ def read_image(path: Path) -> Image:
 def read_numbers(path: Path, columns: int, separator: str | None) -> NDArray[np.float64]:
     """(N, columns) numbers of a text file, a row per line.
 
-    Lines that begin with # are skipped, and so is a name with a colon before the numbers.
+    Lines that begin with # are skipped.
 
     Raises:
         InputError: the file is missing or malformed.
@@ -64,7 +64,7 @@ def read_numbers(path: Path, columns: int, separator: str | None) -> NDArray[np.
     if not path.is_file():
         raise InputError(f"no file {path}: it belongs to the frames' ground truth")
     try:
-        lines = [line.rpartition(":")[2] for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split(separator) for line in lines if line.strip() and not line.lstrip().startswith("#")]
         values = np.array(rows, np.float64).reshape(len(rows), columns)
     except ValueError:  # ragged rows, a wrong number of columns, words, or not even text

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError, from_extra
-from frontend.camera.model import CameraModel
+from frontend.camera.calibration import fit_camera, read_calibration
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.frame import Frame
 from frontend.sources.folder import ImageRow, list_images
@@ -37,12 +37,10 @@ class Posed(Protocol):
 class PosedClip:
     """A folder with images and poses, as one of these data sets has them; images have no distortion.
 
-    - KITTI's odometry: `images/`; the first row of `calib.txt` is the 3x4 projection matrix, row k of `poses.txt` image
-      k's 3x4 world_from_camera.
-    - ICL-NUIM: `images/`; `calibration_matrix.txt` is the 3x3 intrinsic matrix, row k of `poses.txt` image k's
-      `number x y z qx qy qz qw`.
-    - TUM RGB-D: `images/` or `rgb/`, named by their stamps in s; `calib.txt` is `fx fy cx cy`, `groundtruth.txt` has
-      rows `stamp x y z qx qy qz qw`. Poses are interpolated; images outside of them are left out.
+    - KITTI's odometry: `images/`, `calib.txt`; row k of `poses.txt` is image k's 3x4 world_from_camera.
+    - ICL-NUIM: `images/`, `calibration_matrix.txt`; row k of `poses.txt` is image k's `number x y z qx qy qz qw`.
+    - TUM RGB-D: `images/` or `rgb/`, named by their stamps in s; `calib.txt`; `groundtruth.txt` has rows
+      `stamp x y z qx qy qz qw`. Poses are interpolated; images outside of them are left out.
 
     Raises:
         InputError: a folder or file is missing or malformed, or poses and images do not belong together.
@@ -52,18 +50,19 @@ class PosedClip:
         self.name = folder.resolve().name
         rgb = folder / "rgb"
         self._images = list_images(rgb if rgb.is_dir() else folder / "images", FRAMES_PER_SECOND)
+        is_icl = (folder / "calibration_matrix.txt").is_file()
+        found = read_calibration(folder / ("calibration_matrix.txt" if is_icl else "calib.txt"))
+        self._camera, self.K = found.camera, found.camera.matrix
+        if self._camera.distortion != "none":
+            raise InputError(f"'{found.file}' has a lens distortion: give undistorted images and their camera")
+        if found.y_up:
+            self.K[1, 1] *= -1
         if (folder / "groundtruth.txt").is_file():
-            fx, fy, cx, cy = _first_row(folder / "calib.txt", 4, "fx fy cx cy")
-            self.K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             self._images, self.poses = _timed_poses(folder / "groundtruth.txt", self._images)
-        elif (folder / "calibration_matrix.txt").is_file():
-            self.K = read_numbers(folder / "calibration_matrix.txt", 3, None)[:3]
+        elif is_icl:
             self.poses = _poses(read_numbers(folder / "poses.txt", 8, None)[:, 1:])
         else:
-            self.K = _first_row(folder / "calib.txt", 12, "the projection matrix").reshape(3, 4)[:, :3]
             self.poses = read_numbers(folder / "poses.txt", 12, None).reshape(-1, 3, 4)
-        if self.K.shape != (3, 3):
-            raise InputError(f"{folder / 'calibration_matrix.txt'} is malformed: it must be 3 rows of 3 numbers")
         if len(self.poses) != len(self._images):
             raise InputError(f"{folder} has {len(self._images)} images and {len(self.poses)} poses: give one for each")
 
@@ -73,16 +72,8 @@ class PosedClip:
     def __iter__(self) -> Iterator[Frame]:
         for index, row in enumerate(self._images):
             image = read_image(row.path)
-            (fx, _, cx), (_, fy, cy), _ = self.K.tolist()
-            camera = CameraModel(image.shape[1], image.shape[0], abs(fx), abs(fy), cx, cy)
-            yield Frame(index, row.stamp_ns, image, camera)
-
-
-def _first_row(path: Path, columns: int, meaning: str) -> Array:
-    rows = read_numbers(path, columns, None)
-    if not len(rows):
-        raise InputError(f"{path} is empty: its first row must be {meaning}")
-    return np.asarray(rows[0])
+            self._camera = fit_camera(self._camera, image.shape[1], image.shape[0])
+            yield Frame(index, row.stamp_ns, image, self._camera)
 
 
 def _poses(rows: Array) -> Array:

@@ -11,13 +11,16 @@ from frontend.protocols import Source
 __all__ = ["open_source"]
 
 
-def open_source(spec: str | os.PathLike[str], *, fps: float = 30.0, reconnect_s: float = 60.0) -> Source:
+def open_source(
+    spec: str | os.PathLike[str], *, fps: float = 30.0, reconnect_s: float = 60.0, calibrated: bool = True
+) -> Source:
     """Open whatever `spec` names. What exists on disk comes first.
 
     Args:
         spec: a video file, a folder of images or one image, a glob pattern, a camera's number or a stream's URL.
         fps: frames per second of images without times.
         reconnect_s: for how long a network stream that drops is tried again, seconds; see `LiveSource`.
+        calibrated: take the calibration that lies with a folder's images; see `FolderSource`.
 
     Raises:
         InputError: it cannot be read.
@@ -36,5 +39,5 @@ def open_source(spec: str | os.PathLike[str], *, fps: float = 30.0, reconnect_s:
     if not exists and "://" in text:
         return LiveSource(text, reconnect_s)
     if suffix in IMAGE_SUFFIXES or os.path.isdir(text) or (not exists and set("*?[") & set(text)):  # noqa: PTH112
-        return FolderSource(text, fps)
+        return FolderSource(text, fps, calibrated=calibrated)
     return VideoSource(text)

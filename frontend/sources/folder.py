@@ -3,7 +3,8 @@
 - EuRoC / ASL: `mav0/cam0/data.csv` ("stamp in ns,file name") and `mav0/cam0/data/`; the sequence, `mav0`, `cam0` or
   `data` may be given.
 - TUM RGB-D: `rgb.txt` ("stamp in s  path"); the sequence or its `rgb` folder may be given.
-- KITTI: `times.txt` (one stamp in s per image) in the folder of images or in the one above it.
+- KITTI: `times.txt` (one stamp in s per image) in the folder of images or in the one above it; or with rows "number
+  stamp in s  exposure", as DSO and TUM's monocular data sets have it.
 - Images named by their stamp in nanoseconds.
 - Any other images: numbered by a frame rate.
 """
@@ -15,6 +16,7 @@ import logging
 import os
 from bisect import bisect_left
 from collections.abc import Iterator
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -23,9 +25,12 @@ from typing import NamedTuple
 from natsort import natsorted
 
 from airline.errors import ConfigError, InputError
+from frontend.camera.calibration import fit_camera
+from frontend.camera.layouts import find_calibration
+from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.reading import Skips, decode_image
+from frontend.sources.reading import Image, Skips, decode_image
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +47,8 @@ class FolderSource(Source):
     Args:
         path: a folder, a glob pattern, or one image.
         fps: frames per second where no layout gives times.
+        calibrated: take the calibration file that lies with the images, where data sets have theirs: frames carry its
+            camera, and `calibration` names it from the first frame on. One that makes no sense costs a warning.
 
     Raises:
         InputError: there is no such folder, no image in it, or its times cannot be read; while iterating, when not
@@ -49,10 +56,11 @@ class FolderSource(Source):
     """
 
     name: str
+    calibration: str | None = None
     frame_count: int
     first_stamp_ns: int
 
-    def __init__(self, path: str | os.PathLike[str], fps: float = 30.0) -> None:
+    def __init__(self, path: str | os.PathLike[str], fps: float = 30.0, *, calibrated: bool = True) -> None:
         self._rows = list_images(path, fps)
         folder = Path(path) if os.path.isdir(path) else self._rows[0].path.parent  # noqa: PTH112
         self.name = Path(path).stem if os.path.isfile(path) else folder.resolve().name or "images"  # noqa: PTH113
@@ -60,6 +68,8 @@ class FolderSource(Source):
         self.frame_count = len(self._rows)
         self.first_stamp_ns = self._rows[0].stamp_ns
         self._skips = Skips(self.name)
+        first, last = self._rows[0].path.parent, self._rows[-1].path.parent
+        self._found = find_calibration(first) if calibrated and first == last else None
 
     @property
     def skipped(self) -> int:
@@ -82,11 +92,27 @@ class FolderSource(Source):
                     self._skips.add(str(row.path))
                     continue
                 found = True
-                yield Frame(index, row.stamp_ns, image, name=row.path.relative_to(self._folder).as_posix())
+                name = row.path.relative_to(self._folder).as_posix()
+                yield Frame(index, row.stamp_ns, image, self._camera(image), name=name)
         finally:
             self._skips.report(log)
         if self._skips.count and not found:
             raise InputError(f"not one image of '{self.name}' can be read; the first is '{self._skips.first}'")
+
+    def _camera(self, image: Image) -> CameraModel | None:
+        if self._found is None:
+            return None
+        height, width = image.shape[:2]
+        try:
+            camera = fit_camera(self._found.camera, width, height)
+        except InputError as error:
+            log.warning("going on without '%s': %s", self._found.file, error)
+            self._found = None
+            return None
+        if camera is not self._found.camera:
+            self._found = replace(self._found, camera=camera)
+        self.calibration = self.calibration or str(self._found)
+        return camera
 
 
 class ImageRow(NamedTuple):
@@ -151,7 +177,8 @@ def _kitti(root: Path) -> list[ImageRow]:
     images = _images_in(root)
     for table in (root / "times.txt", root.parent / "times.txt"):
         if images and table.is_file():
-            stamps = [_nanoseconds(line, table, 10**9) for line in _lines(table)]
+            rows = [(line, line.split()) for line in _lines(table)]
+            stamps = [_nanoseconds(row[1] if len(row) == 3 else line, table, 10**9) for line, row in rows]
             if len(stamps) != len(images):
                 raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
             return [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]

@@ -10,6 +10,7 @@ from operator import attrgetter
 from typing import Any
 
 from airline.errors import ConfigError
+from frontend.camera.calibration import Calibration, fit_camera
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -34,7 +35,8 @@ class WrappedSource(Source):
         self._source.close()
 
 
-for _name in ("name", "frame_count", "live", "skipped", "dropped", "reconnects", "first_stamp_ns"):
+_PASSED_ON = ("name", "frame_count", "live", "skipped", "dropped", "reconnects", "calibration", "first_stamp_ns")
+for _name in _PASSED_ON:
     setattr(WrappedSource, _name, property(attrgetter(f"_source.{_name}")))
 
 
@@ -59,7 +61,7 @@ class CalibratedFrames(WrappedSource):
 
     Args:
         source: the stream.
-        camera: the camera of the frames, scaled to their size; None to keep what they carry themselves.
+        camera: the camera of the frames, or a file's, fitted to their size; None to keep what they carry themselves.
         undistort: remap every image to that of `undistorted_camera`, which the frame carries then.
 
     Raises:
@@ -67,13 +69,17 @@ class CalibratedFrames(WrappedSource):
         ConfigError: while iterating, when there is no camera.
     """
 
-    def __init__(self, source: Source, camera: CameraModel | None, *, undistort: bool = False) -> None:
+    def __init__(self, source: Source, camera: CameraModel | Calibration | None, *, undistort: bool = False) -> None:
         super().__init__(source)
-        self._camera = camera
+        self._file = None if isinstance(camera, CameraModel) else camera
+        self._camera = camera if isinstance(camera, CameraModel) else camera and camera.camera
         self._undistort = undistort
 
+    @property
+    def calibration(self) -> str | None:
+        return self._source.calibration if self._file is None else str(self._file)
+
     def __iter__(self) -> Iterator[Frame]:
-        from frontend.camera.calibration import fit_camera
         from frontend.camera.undistort import Undistorter
 
         remap: Undistorter | None = None
@@ -93,6 +99,15 @@ class CalibratedFrames(WrappedSource):
             if remap is None or not remap.fits(fitted):
                 remap = Undistorter(fitted)
             yield replace(frame, image=remap(frame.image), camera=remap.camera)
+
+
+class UncalibratedFrames(WrappedSource):
+    """Frames that carry no camera."""
+
+    calibration = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (replace(frame, camera=None) for frame in self._source)
 
 
 class SelectedFrames(WrappedSource):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -132,6 +133,7 @@ class McapOutput(OutputFile):
 
     def __init__(self, path: Path, overwrite: bool, metadata: Mapping[str, str], *, profile: str = "") -> None:
         super().__init__(path, overwrite)
+        self._sequences: Counter[int] = Counter()  # messages so far by channel: zero would mean that nobody counts
         self._writer = Writer(self.file)
         with self.writing():
             self._writer.start(profile=profile, library="airline-frontend")
@@ -145,11 +147,12 @@ class McapOutput(OutputFile):
             return self._writer.register_channel(topic, encoding, schema_id)
 
     def write(self, channel: int, stamp_ns: int, data: bytes) -> None:
-        """Add a message; players order and show messages by the stamp, ns."""
+        """Add a message, the next of its channel; players order and show messages by the stamp, ns."""
         if not 0 <= stamp_ns < 2**63:
             raise InputError(f"cannot write '{self.path}': MCAP has no time {stamp_ns} ns, before the epoch")
+        self._sequences[channel] += 1
         with self.writing():
-            self._writer.add_message(channel, stamp_ns, data, stamp_ns)
+            self._writer.add_message(channel, stamp_ns, data, stamp_ns, self._sequences[channel])
 
     def flush_when_due(self) -> None:
         """Close the chunk when the last one was closed a second ago; call it when a frame is complete."""

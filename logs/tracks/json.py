@@ -186,16 +186,30 @@ _CAMERA = {
 }
 _TIME = {"sec": {"type": "integer"}, "nsec": {"type": "integer", "minimum": 0, "maximum": SECOND_NS - 1}}
 
+_DESCRIBED = {
+    "timestamp": _object("sensor time of the image", _TIME, title="time"),
+    "frame_index": {"type": "integer", "description": "number of the frame in its source, from 0"},
+    **{name: schema for name, _, schema in _members()},
+    **{field.name: _schema(field) for field in DERIVED},
+    "camera": _object("the camera, null where unknown", _CAMERA, type=["object", "null"]),
+    "reset": {"type": ["string", "null"], "description": "why all earlier tracks ended before this frame"},
+}
+
+
+def _shown(schema: dict[str, Any]) -> bool:
+    """Whether Foxglove and Lichtblick know the type; they refuse a topic that has one property of another.
+
+    These are lists of lists and what may be null. They go into "patternProperties", where players do not look, and
+    which say the same to everybody else.
+    """
+    kinds = [schema["type"], schema.get("items", {"type": ""})["type"]]
+    return all(isinstance(kind, str) for kind in kinds) and kinds[1] != "array"
+
+
 SCHEMA = _object(
     "Line segments tracked through the images of a camera: the tracks seen in one frame. Element k of every (N) array "
     f"speaks of the same track. Pixels: {CONVENTIONS['pixels']}. Null among numbers stands for NaN.",
-    {
-        "timestamp": _object("sensor time of the image", _TIME, title="time"),
-        "frame_index": {"type": "integer", "description": "number of the frame in its source, from 0"},
-        **{name: schema for name, _, schema in _members()},
-        **{field.name: _schema(field) for field in DERIVED},
-        "camera": _object("the camera, null where unknown", _CAMERA, type=["object", "null"]),
-        "reset": {"type": ["string", "null"], "description": "why all earlier tracks ended before this frame"},
-    },
-    **{"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA_NAME},
+    {name: schema for name, schema in _DESCRIBED.items() if _shown(schema)},
+    patternProperties={f"^{name}$": schema for name, schema in _DESCRIBED.items() if not _shown(schema)},
+    **{"required": [*_DESCRIBED], "$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA_NAME},
 )

@@ -1,4 +1,4 @@
-"""Calibration files: EuRoC, Kalibr, ROS and JSON, as their tools write them, and everything that can be wrong."""
+"""Calibration files of tools and data sets, as these write them, where they lie, and everything that can be wrong."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from frontend.camera.calibration import fit_camera, read_calibration
+from frontend.camera.calibration import Calibration, fit_camera, read_calibration
 from frontend.camera.model import CameraModel
 
 EUROC = """\
@@ -100,6 +100,46 @@ JSON = """\
  "distortion": "equidistant", "coefficients": [0.1, -0.02, 0.003, 0]}
 """
 
+KITTI = """\
+P0: 7.188560000000e+02 0.000000000000e+00 6.071928000000e+02 0.000000000000e+00 0.000000000000e+00 7.188560000000e+02 \
+1.852157000000e+02 0.000000000000e+00 0.000000000000e+00 0.000000000000e+00 1.000000000000e+00 0.000000000000e+00
+P1: 7.188560000000e+02 0.000000000000e+00 6.071928000000e+02 -3.861448000000e+02 0.000000000000e+00 7.188560000000e+02 \
+1.852157000000e+02 0.000000000000e+00 0.000000000000e+00 0.000000000000e+00 1.000000000000e+00 0.000000000000e+00
+P2: 7.198560000000e+02 0.000000000000e+00 6.071928000000e+02 4.538225000000e+01 0.000000000000e+00 7.188560000000e+02 \
+1.852157000000e+02 -1.130887000000e-01 0.000000000000e+00 0.000000000000e+00 1.000000000000e+00 3.779761000000e-03
+Tr: 4.27e-04 -9.99e-01 -8.08e-03 -1.19e-02 -7.21e-03 8.08e-03 -9.99e-01 -5.40e-02 9.99e-01 4.85e-04 -7.20e-03 -2.92e-01
+"""
+
+KITTI_RAW = """\
+calib_time: 09-Jan-2012 13:57:47
+corner_dist: 9.950000e-02
+S_02: 1.392000e+03 5.120000e+02
+K_02: 9.597910e+02 0.000000e+00 6.960217e+02 0.000000e+00 9.569251e+02 2.241806e+02 0.000000e+00 0.000000e+00 1.0
+D_02: -3.691481e-01 1.968681e-01 1.353473e-03 5.677587e-04 -6.770705e-02
+S_rect_02: 1.242000e+03 3.750000e+02
+P_rect_02: 7.215377e+02 0.000000e+00 6.095593e+02 4.485728e+01 0.000000e+00 7.215377e+02 1.728540e+02 2.163791e-01 \
+0.000000e+00 0.000000e+00 1.000000e+00 2.745884e-03
+"""
+
+ICL = "481.20\t0\t319.50\n0\t-480.00\t239.50\n0\t0\t1\n"
+
+SCANNET = """\
+1169.621094 0.000000 646.295044 0.000000
+0.000000 1167.105103 489.927032 0.000000
+0.000000 0.000000 1.000000 0.000000
+0.000000 0.000000 0.000000 1.000000
+"""
+
+TUM = "# fr1\n517.306408 516.469215 318.643040 255.313989 0.262383 -0.953104 -0.005358 0.002628 1.163314\n"
+
+DSO = """\
+EquiDistant 0.373004838186 0.372994740336 0.498890050897 0.502729380663 0.00348238940225 0.000715034845216 \
+-0.00205323614187 0.000202936735918
+512 512
+crop
+512 512
+"""
+
 PLANE = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7)), axis=-1).reshape(-1, 2)
 
 
@@ -122,7 +162,7 @@ def opencv(camera: CameraModel, model: str, k: list[float], d: list[float]) -> N
 def test_euroc(tmp_path: Path) -> None:
     d = [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
     for text in (EUROC, "%YAML:1.0\n" + EUROC, "%YAML:1.0\n---\n" + EUROC, "\ufeff" + EUROC, EUROC + "---\na: b\n"):
-        camera = read_calibration(save(tmp_path, text))
+        camera = read_calibration(save(tmp_path, text)).camera
         assert (camera.width, camera.height, camera.distortion) == (752, 480, "radial-tangential")
         opencv(camera, "", [458.654, 457.296, 367.215, 248.375], d)
 
@@ -130,41 +170,107 @@ def test_euroc(tmp_path: Path) -> None:
 def test_kalibr(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = save(tmp_path, KALIBR)
     with caplog.at_level(logging.WARNING):
-        fisheye = read_calibration(path)
+        fisheye = read_calibration(path).camera
     assert "cam0, cam1, cam2: using cam0" in caplog.text
     assert (fisheye.width, fisheye.height, fisheye.distortion) == (512, 512, "equidistant")
     k = [190.97847715128717, 190.9733070521226, 254.93170605935475, 256.8974428996504]
     opencv(fisheye, "fisheye", k, [0.00348238940225, 0.000715034845216, -0.00205323614187, 0.000202936735918])
     caplog.clear()
     _, second, third = re.split(r"^(?=cam)", KALIBR, flags=re.MULTILINE)[1:]
-    radtan = read_calibration(save(tmp_path, second))
+    radtan = read_calibration(save(tmp_path, second)).camera
     assert (radtan.width, radtan.height, radtan.distortion) == (752, 480, "radial-tangential")
     opencv(radtan, "", [457.587, 456.134, 379.999, 255.238], [-0.28368365, 0.07451284, -0.00010473, -3.5559e-05])
-    assert read_calibration(save(tmp_path, third)).distortion == "none"
+    assert read_calibration(save(tmp_path, third)).camera.distortion == "none"
     assert not caplog.records
 
 
 def test_ros_and_opencv(tmp_path: Path) -> None:
     path = save(tmp_path, ROS)
-    camera = read_calibration(path)
+    camera = read_calibration(path).camera
     assert (camera.width, camera.height) == (640, 480)
     k, d = [438.783367, 437.302876, 305.593336, 243.738352], [-0.361976, 0.11051, 0.001014, 0.000505]
     opencv(camera, "", k, d)
     fisheye = ROS.replace("plumb_bob", "fisheye").replace("0.000505, 0.000000]", "0.000505]")
-    opencv(read_calibration(save(tmp_path, fisheye)), "fisheye", k, d)
+    opencv(read_calibration(save(tmp_path, fisheye)).camera, "fisheye", k, d)
     ideal = ROS.replace("-0.361976, 0.110510, 0.001014, 0.000505, 0.000000", "0, 0, 0, 0, 0")
-    assert read_calibration(save(tmp_path, ideal)).distortion == "none"
-    rational = read_calibration(save(tmp_path, OPENCV, "out.yml"))
+    assert read_calibration(save(tmp_path, ideal)).camera.distortion == "none"
+    rational = read_calibration(save(tmp_path, OPENCV, "out.yml")).camera
     assert (rational.width, rational.height) == (1280, 720)
     opencv(rational, "", [900, 900, 640, 360], [11.7, 6.2, 4e-4, -3e-4, 0.3, 12.1, 9.8, 1.9])
 
 
+def kitti(folder: Path, text: str, name: str, images: str) -> Calibration:
+    return read_calibration(save(folder, text, name), folder / images)
+
+
+def test_kitti(tmp_path: Path) -> None:
+    for images, which, fx in (("image_0", "P0", 718.856), ("image_2", "P2", 719.856), ("left/*.png", "P0", 718.856)):
+        found = kitti(tmp_path, KITTI, "calib.txt", images)
+        assert found.which == which
+        opencv(found.camera, "", [fx, 718.856, 607.1928, 185.2157], [0.0] * 4)
+        assert str(found) == f"{which} of '{tmp_path / 'calib.txt'}', fx {fx:.1f} px"
+    assert fit_camera(found.camera, 1241, 376).width == 1241
+    with pytest.raises(InputError, match="P3 must be 12 numbers"):
+        kitti(tmp_path, KITTI, "calib.txt", "image_3")
+    nameless = kitti(tmp_path, KITTI.replace("P0: ", "").replace("P1: ", ""), "calib.txt", "images")
+    assert (nameless.which, nameless.camera.fx) == ("row 1", 718.856)
+
+
+def test_kittis_raw_data(tmp_path: Path) -> None:
+    sync, extract = (f"2011_09_26_drive_0001_{kind}/image_02/data" for kind in ("sync", "extract"))
+    rectified = kitti(tmp_path, KITTI_RAW, "calib_cam_to_cam.txt", sync)
+    assert (rectified.which, rectified.camera.width, rectified.camera.height) == ("P_rect_02", 1242, 375)
+    opencv(rectified.camera, "", [721.5377, 721.5377, 609.5593, 172.854], [0.0] * 4)
+    raw = kitti(tmp_path, KITTI_RAW, "calib_cam_to_cam.txt", extract)
+    assert (raw.which, raw.camera.width, raw.camera.height) == ("K_02", 1392, 512)
+    d = [-0.3691481, 0.1968681, 1.353473e-03, 5.677587e-04, -0.06770705]
+    opencv(raw.camera, "", [959.791, 956.9251, 696.0217, 224.1806], d)
+    with pytest.raises(InputError, match="row S_rect_00 must be 2 numbers"):
+        kitti(tmp_path, KITTI_RAW, "calib_cam_to_cam.txt", "images")
+
+
+def test_matrices(tmp_path: Path) -> None:
+    icl = read_calibration(save(tmp_path, ICL, "calibration_matrix.txt"))
+    assert icl.y_up
+    opencv(icl.camera, "", [481.2, 480.0, 319.5, 239.5], [0.0] * 4)
+    scannet = read_calibration(save(tmp_path, SCANNET, "intrinsic_color.txt"))
+    assert not scannet.y_up
+    opencv(scannet.camera, "", [1169.621094, 1167.105103, 646.295044, 489.927032], [0.0] * 4)
+    assert (fit_camera(scannet.camera, 1296, 968).width, fit_camera(icl.camera, 640, 480).height) == (1296, 480)
+    for size in ((640, 480), (2592, 1936), (1296, 400)):  # resized or cropped since
+        with pytest.raises(InputError, match="not in the middle half"):
+            fit_camera(scannet.camera, *size)
+
+
+def test_tum(tmp_path: Path) -> None:
+    k, d = [517.306408, 516.469215, 318.643040, 255.313989], [0.262383, -0.953104, -0.005358, 0.002628, 1.163314]
+    opencv(read_calibration(save(tmp_path, TUM, "calib.txt")).camera, "", k, d)
+    four = " ".join(map(str, k))
+    assert read_calibration(save(tmp_path, four, "calib.txt")).camera.distortion == "none"
+    eight = read_calibration(save(tmp_path, f"{four} 0.26 -0.95 -0.005 0.002", "calib.txt")).camera
+    opencv(eight, "", k, [0.26, -0.95, -0.005, 0.002])
+
+
+def test_dso(tmp_path: Path) -> None:
+    """The data set gives one camera in DSO's and in Kalibr's form."""
+    ours = read_calibration(save(tmp_path, DSO, "camera.txt")).camera
+    kalibr = read_calibration(save(tmp_path, KALIBR), "cam0/data").camera
+    assert (ours.width, ours.height, ours.distortion) == (512, 512, "equidistant")
+    np.testing.assert_allclose(ours.project(PLANE), kalibr.project(PLANE), atol=1e-3)
+    pinhole = "Pinhole 400 401 319.5 239.5 0\n640 480\nnone\n640 480\n"
+    camera = read_calibration(save(tmp_path, pinhole, "camera.txt")).camera
+    assert (camera.width, camera.cx, camera.distortion) == (640, 319.5, "none")
+    assert read_calibration(save(tmp_path, pinhole[8:], "camera.txt")).camera.fy == 401
+    radtan = "400 401 319.5 239.5 -0.28 0.07 0.0002 0.00002\n640 480\ncrop\n640 480\n"
+    opencv(read_calibration(save(tmp_path, radtan)).camera, "", [400, 401, 319.5, 239.5], [-0.28, 0.07, 2e-4, 2e-5])
+
+
 def test_json(tmp_path: Path) -> None:
-    camera = read_calibration(save(tmp_path, JSON, "calib.json"))
+    camera = read_calibration(save(tmp_path, JSON, "calib.json")).camera
     assert (camera.width, camera.height, camera.distortion) == (640, 480, "equidistant")
     opencv(camera, "fisheye", [500, 501.5, 319.5, 239.5], [0.1, -0.02, 0.003, 0])
     plain = {"width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 31.5, "cy": 23.5}
-    assert read_calibration(save(tmp_path, json.dumps(plain))).distortion == "none"
+    assert read_calibration(save(tmp_path, json.dumps(plain))).camera.distortion == "none"
 
 
 @pytest.mark.parametrize(
@@ -181,7 +287,7 @@ def test_json(tmp_path: Path) -> None:
         (EUROC, "distortion_coefficients", "coefficients", "distortion_coefficients is missing"),
         (KALIBR, "camera_model: pinhole", "camera_model: omni", "camera model 'omni' is not supported"),
         (KALIBR, "equidistant", "fov", "distortion model 'fov' is not supported"),
-        (ROS, "438.783367, 0.000000", "438.783367, 0.5", "camera_matrix must be of the form"),
+        (ROS, "438.783367, 0.000000", "438.783367, 0.5", "camera matrix must be of the form"),
         (ROS, "image_width: 640\n", "", "missing required field `image_width`"),
         (JSON, '"fx": 500', '"fx": true', "fx: expected `float`"),
         (JSON, '"fx": 500', '"fx": NaN', "fx: expected `float`"),
@@ -192,6 +298,20 @@ def test_json(tmp_path: Path) -> None:
         (EUROC, "[752, 480]", "[752, 480", "not valid YAML in line"),
         (EUROC, "20", "[" * 40 + "]" * 40, "nested deeper"),
         (EUROC, EUROC, "", "is no camera calibration"),
+        (KITTI, "0.000000000000e+00\nP1", "\nP1", "rows of 11, 12, 12, 12 numbers"),
+        (KITTI, "6.071928000000e+02", "nan", "not finite"),
+        (KITTI, "6.071928000000e+02", "6e300", "not finite, or beyond"),
+        (KITTI, "0.000000000000e+00", "0.5", "must be of the form"),
+        (KITTI_RAW, "S_rect_02", "S_rect_00", "row P_rect_00 must be 12 numbers"),
+        (KITTI_RAW, "S_02", "S_00", "row S_rect_00"),
+        (ICL, "481.20", "-481.20", "focal lengths must be positive"),
+        (ICL, "319.50", "", "rows of 2, 3, 3 numbers"),
+        (SCANNET, "646.295044", "wide", "is no camera calibration"),
+        (TUM, " 1.163314", " 1 2 3", "rows of 11 numbers"),
+        (DSO, "EquiDistant", "FOV", "'FOV' is not supported"),
+        (DSO, "EquiDistant", "Mei", "'Mei' is not supported"),
+        (DSO, "512 512\ncrop", "512.5 512\ncrop", "whole numbers from 1 to 65536"),
+        (DSO, "512 512\ncrop", "512 99999\ncrop", "whole numbers from 1 to 65536"),
         (EUROC, "20", "x" * 300_000, "longer than the 256 KB"),
     ],
 )
@@ -212,7 +332,7 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
 
 
 def test_a_camera_for_other_sizes(tmp_path: Path) -> None:
-    camera = read_calibration(save(tmp_path, EUROC))
+    camera = read_calibration(save(tmp_path, EUROC)).camera
     assert fit_camera(camera, 752, 480) is camera
     half = fit_camera(camera, 376, 240)
     assert (half.width, half.height, half.fx) == (376, 240, camera.fx / 2)

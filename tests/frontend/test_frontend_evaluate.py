@@ -86,9 +86,9 @@ def test_layout_of_tum(posed: Path, request: pytest.FixtureRequest) -> None:
 @pytest.mark.parametrize(
     ("layout", "name", "text", "message"),
     [
-        ("as_icl", "calibration_matrix.txt", "1 0 0\n", "3 rows"),
+        ("as_icl", "calibration_matrix.txt", "1 0 0\n", "rows of 3"),
         ("as_icl", "poses.txt", "1 0 0 0 0 0 0 1\n", "6 images and 1 poses"),
-        ("as_tum", "calib.txt", "1 2 3\n", "4 numbers"),
+        ("as_tum", "calib.txt", "1 2 3\n", "rows of 3"),
         ("as_tum", "groundtruth.txt", "100 0 0 0 0 0 0 1\n", "two poses"),
         ("as_tum", "groundtruth.txt", "7 0 0 0 0 0 0 1\n8 0 0 0 0 0 0 1\n", "no image"),
         ("as_tum", "rgb/first.png", "", "named by their stamps"),
@@ -103,7 +103,7 @@ def test_damaged_layouts(request: pytest.FixtureRequest, layout: str, name: str,
 
 def test_number_files(tmp_path: Path) -> None:
     path = tmp_path / "numbers.txt"
-    path.write_text("# two\nP0: 1 2\n\n3e1 -4\n")
+    path.write_text("# two\n1 2\n\n3e1 -4\n")
     assert read_numbers(path, 2, None).tolist() == [[1, 2], [30, -4]]
     for text in ("1 2 3\n", "1\n", "a b\n", "nan 1\n"):
         path.write_text(text)
@@ -119,7 +119,7 @@ DAMAGE = [  # the text in place of a file, None to remove it
     (LabelledClip, "associations/0_1.csv", "0,0\n0,1\n", "each once"),
     (PosedClip, "poses.txt", None, "no file"),
     (PosedClip, "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "6 images and 1 poses"),
-    (PosedClip, "calib.txt", "\n", "empty"),
+    (PosedClip, "calib.txt", "\n", "no camera calibration"),
 ]
 
 

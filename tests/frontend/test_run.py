@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from airline import __version__
@@ -108,6 +109,8 @@ def test_figures_are_those_of_the_recording(run: Run, entities: dict[str, dict[s
     assert run.figures["live_tracks_per_frame"] == pytest.approx(statistics.mean(map(len, ids)), abs=0.005)
     lengths = [length for length in Counter(k for row in ids for k in row).values() if length >= 3]
     assert run.figures["tracks"] == len(lengths) > 10
+    assert run.figures["ids"] == len({k for row in ids for k in row}) > len(lengths)
+    assert f"{len(lengths)} confirmed of {run.figures['ids']} ids" in run.outcome.out
     assert run.figures["track_length_median"] == statistics.median(lengths)
     for stage in STAGES[:-1]:  # the sink cannot record its own time
         spent = [value for (value,) in entities[f"/stats/time_ms/{stage}"]["Scalars:scalars"]]
@@ -119,6 +122,7 @@ def test_the_best_lines_alone_and_how_many_were_left_out(run: Run, clip: Path, t
     outcome = command(clip, "--headless", *flags)
     figures = json.loads((tmp_path / "run.json").read_text())
     assert [len(tracks) for tracks in read_tracks(tmp_path / "best.parquet")] == [10] * FRAMES
+    assert len(pq.read_table(tmp_path / "best.parquet", columns=["id"])["id"].unique()) == figures["ids"]
     assert figures["live_tracks_per_frame"] == 10
     assert figures["left_out_per_frame"] == pytest.approx(run.figures["live_tracks_per_frame"] - 10, abs=0.01)
     assert re.search(rf"left out per frame +\W {figures['left_out_per_frame']:.1f} ", outcome.out)

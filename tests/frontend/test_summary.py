@@ -54,7 +54,7 @@ def test_figures(seen, more_lines, times, frames, confirm_hits, skipped):
     lengths = {i: hits for tracks in live for i, hits in zip(tracks.ids.tolist(), tracks.hits.tolist(), strict=True)}
     confirmed = [length for length in lengths.values() if length >= confirm_hits]
     assert (summary.frames, summary.skipped_frames) == (frames, skipped)
-    assert summary.tracks == len(confirmed)
+    assert (summary.tracks, summary.ids) == (len(confirmed), len(lengths))
     assert summary.track_length_median == (statistics.median(confirmed) if confirmed else 0)
     assert summary.lines_per_frame == pytest.approx(statistics.mean(lines), abs=0.00501)
     observations, measured = sum(map(len, live)), sum(tracks.measured.sum() for tracks in live)

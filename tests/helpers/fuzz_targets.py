@@ -47,7 +47,7 @@ def all_targets(folder: Path) -> dict[str, Target]:
         "tracks in JSON": ([encode_tracks(_frame(3))], decode_tracks),
         "image file": (_image_files(), decode_image),
         "settings": of_file([dump(RunConfig()).encode()], "s.toml", lambda path: load(path, {})),
-        "calibration": of_file(_calibrations(), "c.yaml", read_calibration),
+        "calibration": of_file(_calibrations(), "c.yaml", lambda path: read_calibration(path, "image_2")),
         "weights": of_file([_weights()], "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
         "log": of_file(_logs(folder), "l.mcap", _read_log),
         "tracks in MCAP": of_file(_tracks(folder / "t.mcap"), "d.mcap", _read_tracks),
@@ -80,7 +80,8 @@ def _image_files() -> list[bytes]:
 
 
 def _calibrations() -> list[bytes]:
-    return [getattr(calibrations, name).encode() for name in ("EUROC", "KALIBR", "ROS", "OPENCV", "JSON")]
+    names = ("EUROC", "KALIBR", "ROS", "OPENCV", "JSON", "KITTI", "KITTI_RAW", "ICL", "SCANNET", "TUM", "DSO")
+    return [getattr(calibrations, name).encode() for name in names]
 
 
 def _weights() -> bytes:

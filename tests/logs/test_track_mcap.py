@@ -15,12 +15,14 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from airline.errors import InputError
 from frontend.colours import track_colours
+from frontend.tracks import DERIVED, FIELDS
 from logs.read import read_tracks
 from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.output import McapOutput
-from logs.tracks.json import encode_tracks
+from logs.tracks.json import SCHEMA, encode_tracks
 from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, write_all
 
+NO_ARRAYS = ("timestamp", "frame_index", "descriptor_length", "camera", "reset")
 MADE = made_tracks(0, 0, np.arange(3), np.random.default_rng(0))
 
 
@@ -129,12 +131,45 @@ def test_the_schema_in_the_file_describes_the_messages(path, messages):
     assert schemas["frontend.LineTracks"].encoding == "jsonschema"
     schema = json.loads(schemas["frontend.LineTracks"].data)
     assert schema["title"] == "frontend.LineTracks"
-    assert all(field["description"] for field in schema["properties"].values())
+    described = schema["properties"] | {name.strip("^$"): one for name, one in schema["patternProperties"].items()}
+    assert all(field["description"] for field in described.values())
+    assert described.keys() == {*NO_ARRAYS, *(field.name for field in (*FIELDS, *DERIVED))}
     odd = made_tracks(0, 0, np.arange(2), np.random.default_rng(0), lost=1, camera=None, reset="x", length=1)
     odd.scores[0] = np.nan
     for message in (*(message for _, _, message in messages["/lines/tracks"]), json.loads(encode_tracks(odd))):
         jsonschema.validate(message, schema)
-        assert message.keys() == set(schema["required"]) == schema["properties"].keys()
+        assert message.keys() == set(schema["required"]) == described.keys()
+    for name, wrong in {"segments_px": [[[0, 0]]], "scores": "1", "camera": {"width": 1}, "ids": [0.5]}.items():
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**json.loads(encode_tracks(odd)), name: wrong}, schema)
+
+
+def test_messages_have_every_number_of_every_field(messages):
+    for (_, _, message), result in zip(messages["/lines/tracks"], clip_results(), strict=True):
+        for field in (*FIELDS, *DERIVED):
+            expected = getattr(result.tracks, field.name)
+            found = np.array(message[field.name], field.dtype).reshape(expected.shape)
+            np.testing.assert_array_equal(found, expected, field.name)
+
+
+def test_players_know_the_types_of_the_schema():
+    """Foxglove Studio and Lichtblick refuse a topic whose schema has a property of other types than these."""
+    for name, schema in SCHEMA["properties"].items():
+        assert schema["type"] in ("boolean", "string", "number", "integer", "object", "array"), name
+        if schema["type"] == "array":
+            assert schema["items"]["type"] in ("boolean", "string", "number", "integer"), name
+        elif schema["type"] == "object":
+            assert {one["type"] for one in schema["properties"].values()} == {"integer"}, name
+
+
+def test_sequence_numbers_count_on_each_topic(path):
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            found[channel.topic].append(message.sequence)
+    assert len(found) == 4
+    for topic, numbers in found.items():
+        assert numbers == list(range(1, len(numbers) + 1)), topic
 
 
 def test_times_before_the_epoch_are_refused(tmp_path):
