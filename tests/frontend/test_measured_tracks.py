@@ -51,6 +51,22 @@ def test_a_track_goes_on_where_its_edge_does_and_is_lost_with_it():
     assert not again.measured.any()
 
 
+@pytest.mark.parametrize(("share", "measured"), [(0.35, False), (0.7, True)])
+def test_a_piece_of_an_edge_is_the_line_if_it_is_half_of_it(share, measured):
+    piece = LINES[3, 0] + np.array([[0], [share]]) * (LINES[3, 1] - LINES[3, 0])
+    tracks = step(begin(), 4, LINES, LINES[:3], [*LINES[:3], piece])
+    assert tracks.measured.tolist() == [False] * 3 + [True] * measured
+
+
+@pytest.mark.parametrize(("gate", "measured"), [(16.0, False), (1000.0, True)])
+def test_an_edge_that_is_not_where_the_line_must_be_is_not_the_line(gate, measured):
+    tracker = LineTracker(TrackerConfig(gate=gate))
+    for index in range(8):
+        step(tracker, index, LINES, LINES, LINES)
+    tracks = step(tracker, 8, LINES, LINES[:3], [*LINES[:3], LINES[3] + [0, 1.4]])
+    assert tracks.measured.tolist() == [False] * 3 + [True] * measured
+
+
 def test_without_an_edge_map_nothing_is_measured():
     tracker = begin()
     for index in range(4, 7):
