@@ -18,7 +18,6 @@ from frontend.tracking.correction import corrected
 from frontend.tracking.extents import MIN_EDGE
 from frontend.tracking.flow import WorkingImage, working_image
 from frontend.tracking.guided import look_for
-from frontend.tracking.joining import joined
 from frontend.tracking.measurement import with_bias
 from frontend.tracking.overlap import absorbed, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair
@@ -89,7 +88,6 @@ class LineTracker:
             if reset is None:
                 pairs, noise = gated(tracks, pairs, seen, self.config)
                 if edges is not None:
-                    seen = joined(tracks, pairs, seen, edges)
                     pairs, seen = look_for(tracks, pairs, lengths, seen, edges, gray, self.config, noise)
         if reset is not None:
             tracks, pairs, lengths = no_tracks(seen.features), np.zeros(0, np.int32), np.zeros(0)
@@ -131,7 +129,7 @@ class LineTracker:
         observed = seen.features.segments[pairs[hit]]
         tracks = tracks.with_rows(hit, {"doubled": np.where(doubles(tracks.segments[hit]), tracks.doubled[hit] + 1, 0)})
         alive = self._alive(tracks, hit, observed, lengths)
-        free = ~seen.joined[: seen.detected]
+        free = np.ones(seen.detected, np.bool_)
         free[pairs[hit & (pairs < seen.detected)]] = False
         new = np.flatnonzero(free).astype(np.int32)
         begun = seen.features.take(new)

@@ -142,11 +142,7 @@ class LineTracks:
     ]
     stable: Annotated[Bool, Field("fit to be a landmark: confirmed, consistent and not short", older=False)]
     line_indices: Annotated[
-        Int32,
-        Field(
-            "row of the detection among the frame's lines, of one that broke that of a piece; -1 if measured",
-            columns="line_index",
-        ),
+        Int32, Field("row of the detection among the frame's lines, -1 if measured", columns="line_index")
     ]
     fragment_of: Annotated[Int64, Field("track whose line broke and left this piece, -1 for whole lines")]
     lost_ids: Annotated[Int64, Field("confirmed track that is not seen now and still looked for", rows="lost")] = field(

@@ -52,22 +52,17 @@ def supported(edges, segments, inner, outer):  # type: ignore[no-untyped-def]
             place, last = inner[n, end], inner[n, end]
             while outwards * (outer[n, end] - place) > 0:
                 place += outwards / length
-                if edge_beside(edges, x0 + place * dx, y0 + place * dy, nx, ny):
+                x, y = x0 + place * dx, y0 + place * dy
+                here = 0.0
+                for j in range(-1, 2):
+                    here = max(here, bilinear(edges, x + j * nx, y + j * ny))
+                if here >= MIN_EDGE:
                     last = place
                 elif abs(place - last) * length > GAP:
                     break
             if outwards * (outer[n, end] - last) > 0:
                 reached[n, end] = last
     return reached
-
-
-@njit()
-def edge_beside(edges, x, y, nx, ny):  # type: ignore[no-untyped-def]
-    """Whether there is an edge at a point, or 1 px to either side of it."""
-    found = False
-    for j in range(-1, 2):
-        found |= bilinear(edges, x + j * nx, y + j * ny) >= MIN_EDGE
-    return found
 
 
 def visible_parts(

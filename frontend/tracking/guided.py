@@ -74,7 +74,6 @@ def look_for(
         seen.features.append(found),
         np.concatenate([seen.errors, errors[good]]),
         np.concatenate([seen.scores, (support * strength)[good]]),
-        np.append(seen.joined, np.zeros(good.sum(), np.bool_)),
         seen.detected,
     )
 

@@ -21,14 +21,12 @@ class Seen:
         features: of all N lines.
         errors: (N, 2, 2) float32 covariances of offset and angle.
         scores: (N,) float32.
-        joined: (N,) bool, pieces that became part of another line.
-        detected: how many of the lines were detected.
+        detected: how many of them are.
     """
 
     features: LineFeatures
     errors: NDArray[np.float32]
     scores: NDArray[np.float32]
-    joined: NDArray[np.bool_]
     detected: int
 
     def along(self, rows: NDArray[np.int32], segments: NDArray[np.float32]) -> LineFeatures:
@@ -42,13 +40,7 @@ class Seen:
 def detected(lines: LineSet, gray: NDArray[np.uint8]) -> Seen:
     """The detector's lines of a (H, W) image."""
     features = LineFeatures(lines.segments, lines.descriptors, side_profiles(gray, lines.segments))
-    return Seen(
-        features,
-        line_covariances(lines.segments, lines.residuals),
-        lines.scores,
-        np.zeros(len(lines), np.bool_),
-        len(lines),
-    )
+    return Seen(features, line_covariances(lines.segments, lines.residuals), lines.scores, len(lines))
 
 
 def runs_backwards(reference: NDArray[np.float32], segments: NDArray[np.float32]) -> NDArray[np.bool_]:

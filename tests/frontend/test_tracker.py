@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from airline import ConfigError
 from frontend import Frame, LineTracker, TrackerConfig, TrackState
-from tests.helpers.tracking_frames import drawn, edge_map, frame, line_set
+from tests.helpers.tracking_frames import drawn, frame, line_set
 
 LINES = np.array([[[20, 20], [120, 30]], [[30, 60], [30, 140]], [[60, 120], [150, 60]]], np.float32)
 NONE = LINES[:0]
@@ -110,37 +110,6 @@ def test_a_broken_line_goes_on_with_its_longest_piece_and_reports_the_other():
     assert joined.ids.tolist() == [0, 1]
     assert joined.ended_ids.tolist() == [2], "a piece that is part of the whole again is no line of its own"
     assert joined.lost_ids.tolist() == []
-
-
-@pytest.mark.parametrize(("gap", "whole"), [(4, True), (10, True), (10, False)])
-def test_pieces_are_one_line_where_the_edge_goes_on(gap, whole):
-    line = np.float32([[[20, 20], [180, 60]]])
-    places = np.float32([0, 0.6 - gap / 330, 0.6 + gap / 330, 1])
-    pieces = (line[0, 0] + places[:, None] * (line[0, 1] - line[0, 0])).reshape(2, 2, 2)
-    tracker = LineTracker()
-    for k in range(3):
-        tracker.update(drawn(k, line), line_set(line), edge_map(line))
-    for k in range(3, 6):
-        tracks = tracker.update(drawn(k, line), line_set(pieces[::-1]), edge_map(line if whole else pieces))
-        assert tracks.ids[tracks.confirmed].tolist()[:1] == [0]
-        assert tracks.line_indices[0] == 1, "of the longer piece"
-        assert np.allclose(tracks.observed_px[0], line[0] if whole else pieces[0], atol=0.01)
-        assert (len(tracks) == 1) == whole
-
-
-def test_a_line_through_two_pieces_leans_to_the_longer_one():
-    line = np.float32([[[20, 40], [180, 40]]])
-    pieces = np.float32([[[20, 40], [140, 40]], [[142, 40.8], [180, 40.8]]])
-    tracker = LineTracker()
-    for k in range(3):
-        tracker.update(drawn(k, line), line_set(line), edge_map(line))
-    tracks = tracker.update(drawn(3, line), line_set(pieces), edge_map(line))
-    assert tracks.ids.tolist() == [0]
-    x, y = np.linspace(20, 180, 161), np.r_[np.full(121, 40), np.full(40, 40.8)]
-    (slope, start), seen = np.polyfit(x, y, 1), tracks.observed_px[0]
-    assert np.abs(seen[:, 1] - start - slope * seen[:, 0]).max() < 0.1
-    straight = LineTracker().update(drawn(3, line), line_set(line)).observed_covariances[0]
-    assert tracks.observed_covariances[0, 0, 0] > straight[0, 0], "what does not fit makes it less sure"
 
 
 def test_a_parallel_line_is_no_fragment():
