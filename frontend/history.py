@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from airline.errors import ConfigError, InputError
 from frontend.tracks import DERIVED, FIELDS, LineTracks
+
+log = logging.getLogger(__name__)
 
 PATIENCE = 300  # frames; what was not seen for longer has ended, and the message that said so was lost
 
@@ -73,7 +76,7 @@ class TrackHistory:
 
     Memory is bounded by `max_tracks * max_frames` observations of about 320 bytes. A track of more than `max_frames`
     loses its oldest. Of more than `max_tracks` tracks those that ended first are dropped, then those not seen for
-    longest; one that is seen again starts anew under its id.
+    longest; one that is seen again starts anew under its id. The first time there is a warning; `dropped` counts.
 
     Args:
         max_frames: observations kept of each track.
@@ -83,13 +86,14 @@ class TrackHistory:
         ConfigError: a bound below 1.
     """
 
-    def __init__(self, max_frames: int = 300, max_tracks: int = 2000) -> None:
+    def __init__(self, max_frames: int = 300, max_tracks: int = 20_000) -> None:
         if max_frames < 1 or max_tracks < 1:
             raise ConfigError(f"a history keeps at least 1 frame of 1 track, not {max_frames} of {max_tracks}")
         self._max_frames = max_frames
         self._max_tracks = max_tracks
         self._live: dict[int, deque[np.void]] = {}  # the one not seen for longest comes first
         self._ended: dict[int, deque[np.void]] = {}  # in the order of their ends
+        self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._live) + len(self._ended)
@@ -113,6 +117,9 @@ class TrackHistory:
         while len(self) > self._max_tracks:
             oldest = self._ended or self._live
             del oldest[next(iter(oldest))]
+            if not self.dropped:
+                log.warning("a history of %d tracks is full: raise max_tracks, or call pop_ended", self._max_tracks)
+            self.dropped += 1
 
     def observations_of(self, track_id: int) -> Observations:
         """One track as far as it is known.

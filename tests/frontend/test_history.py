@@ -134,14 +134,17 @@ def test_impossible_bounds_are_refused(bound: str) -> None:
         TrackHistory(**{bound: 0})
 
 
-def test_ended_tracks_are_dropped_before_those_that_live() -> None:
+def test_ended_tracks_are_dropped_before_those_that_live(caplog: pytest.LogCaptureFixture) -> None:
     history = TrackHistory(max_tracks=3)
     history.add(tracks_of(0, [1, 2, 3]))
     history.add(tracks_of(1, [1, 3], ended=(2,)))
     history.add(tracks_of(2, [1, 4]))
     assert history.ids.tolist() == [1, 3, 4]
+    assert history.dropped == 1
     history.add(tracks_of(3, [1, 4, 5]))
     assert history.ids.tolist() == [1, 4, 5]
+    assert history.dropped == 2
+    assert len(caplog.messages) == 1, "it is said once"
 
 
 def test_a_record_does_not_hold_on_to_its_frame() -> None:
