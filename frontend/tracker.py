@@ -19,7 +19,7 @@ from frontend.tracking.extents import MIN_EDGE
 from frontend.tracking.flow import WorkingImage, working_image
 from frontend.tracking.guided import look_for
 from frontend.tracking.measurement import with_bias
-from frontend.tracking.overlap import absorbed, doubles, parents
+from frontend.tracking.overlap import absorbed, covered, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair
 from frontend.tracking.prediction import camera_of, focal_of, predicted
 from frontend.tracking.seen import Seen, detected
@@ -66,13 +66,15 @@ class LineTracker:
             edges: (H, W) float32 edge probability of the image, on which tracks without a line are looked for.
 
         Raises:
-            InputError: lines that are not finite, or edges of another size than the image's.
+            InputError: lines that are not finite, or edges of another type, or of another size than the image's.
         """
         gray = to_uint8(frame.gray)
         if not np.isfinite(lines.segments).all():
             raise InputError("the lines' end points must be finite numbers")
-        if edges is not None and edges.shape != gray.shape:
-            raise InputError(f"the edges are {edges.shape} and the image is {gray.shape}: give both the same size")
+        if edges is not None and (edges.shape != gray.shape or edges.dtype != np.float32):
+            raise InputError(
+                f"the edges are {edges.dtype} {edges.shape}: give float32 of the image's size {gray.shape}"
+            )
         blind = not len(lines) and (edges is None or not (edges >= MIN_EDGE).any())
         image, size = working_image(gray), (gray.shape[1], gray.shape[0])
         camera = camera_of(frame.camera, size)
@@ -131,6 +133,7 @@ class LineTracker:
         alive = self._alive(tracks, hit, observed, lengths)
         free = np.ones(seen.detected, np.bool_)
         free[pairs[hit & (pairs < seen.detected)]] = False
+        free[free] = ~covered(seen.features.segments[: seen.detected][free], observed)  # a line that was detected twice
         new = np.flatnonzero(free).astype(np.int32)
         begun = seen.features.take(new)
         parent = parents(np.concatenate([observed, begun.segments]), tracks.segments[hit])

@@ -208,7 +208,8 @@ class LineTracks:
         """What earlier frames saw of the tracks here that this frame is the first to confirm, oldest first.
 
         Each is a part of its frame's tracks, with its time and camera. A backend that takes these and the confirmed
-        tracks of every frame misses no observation of a track that is ever confirmed, and gets each once.
+        tracks of every frame misses no observation of a track that is ever confirmed, and gets each once; but for what
+        `max_lines` left out.
         """
         parts = []
         for frame, rows in self.earlier:

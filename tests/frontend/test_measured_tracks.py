@@ -197,11 +197,21 @@ def test_nothing_moves_while_there_is_nothing_to_see():
 
 
 def test_of_two_tracks_that_lie_on_each_other_the_older_goes_on():
-    tracker, double = begin(6), np.concatenate([LINES, LINES[3:] + [0, 0.4]])
-    for index in range(6, 13):
-        tracks = step(tracker, index, LINES, double, LINES)
+    tracker, ended = LineTracker(), []
+    for index in range(20):
+        away = max(0.4, 3 - 0.3 * max(0, index - 3))
+        tracks = step(tracker, index, LINES, np.concatenate([LINES, LINES[3:] + [0, away]]), LINES)
         assert tracks.ids.tolist()[:4] == [0, 1, 2, 3]
-        assert tracks.ended_ids.tolist() == ([4] if index == 12 else [])
+        ended += tracks.ended_ids.tolist()
+    assert 4 in ended
+    assert tracks.ids.tolist() == [0, 1, 2, 3], "and does not begin again"
+
+
+def test_a_line_that_is_detected_twice_is_one_track():
+    tracker = LineTracker()
+    for index in range(10):
+        tracks = step(tracker, index, LINES, np.concatenate([LINES, LINES[::-1, ::-1] + [0, 0.4]]), LINES)
+        assert tracks.ids.tolist() == [0, 1, 2, 3]
 
 
 def test_lines_and_edges_that_cannot_be_are_refused():
@@ -210,6 +220,8 @@ def test_lines_and_edges_that_cannot_be_are_refused():
         tracker.update(drawn(4, LINES), line_set(LINES), edge_map(LINES, (100, 80)))
     with pytest.raises(InputError, match="finite"):
         step(tracker, 4, LINES, LINES + [np.nan, 0], LINES)
+    with pytest.raises(InputError, match="uint8"):
+        tracker.update(drawn(4, LINES), line_set(LINES), (255 * edge_map(LINES, SIZE)).astype(np.uint8))
     assert step(tracker, 4, LINES, LINES, LINES).ids.tolist() == [0, 1, 2, 3], "and change nothing"
 
 

