@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import islice, takewhile
 
 from airline.errors import AirLineError, ConfigError, InputError
-from frontend.camera.calibration import fit_camera
+from frontend.camera.calibration import fit_camera, is_rectified
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
 from logs.files import LogFile
 from logs.messages.readers import is_calibration_type, read_message
@@ -21,7 +21,6 @@ from logs.topics import printable
 
 log = logging.getLogger(__name__)
 
-_RECTIFIED = frozenset({"rect", "rectified"})
 _TRIED = 50  # messages of a calibration topic
 _TRANSPORTS = frozenset({"compressed", "compressedDepth", "theora", "ffmpeg", "h264", "h265", "zstd", "draco"})
 
@@ -65,11 +64,6 @@ def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) ->
     except ConfigError as error:
         raise InputError(str(error)) from None
     return fit_camera(_as_sent(camera, info), *image_size)
-
-
-def is_rectified(image_topic: str) -> bool:
-    """Whether a topic's name says that its images are rectified, as `/left/image_rect_color/compressed` does."""
-    return any(not _RECTIFIED.isdisjoint(part.split("_")) for part in _parts(image_topic))
 
 
 def info_topic_for(image_topic: str, calibration_topics: Collection[str]) -> str | None:

@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 
-from airline.errors import ConfigError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.batch.job import OUTPUTS, REPORT, SUMMARY, Job, JobSettings, Row, row_of
-from frontend.cli.settings import RunConfig
+from frontend.cli.settings import InputConfig, RunConfig
 
 log = logging.getLogger(__name__)
 
@@ -132,8 +132,6 @@ def make_plan(
     Returns:
         A row per recording by its name, in order, "skipped" or "pending"; those to be run.
     """
-    from frontend.camera.layouts import calibration_beside
-
     results: dict[str, tuple[str, dict[str, Any]]] = {}  # name and summary by the path of the recording
     for file in sorted(out.glob(f"[!.]*/{SUMMARY}")):
         with suppress(OSError, ValueError, LookupError, TypeError):  # not one of ours
@@ -147,7 +145,7 @@ def make_plan(
     for path in paths:
         name, summary = results.get(str(path)) or (names[path], {})
         made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings.made_with}
-        beside = calibration_beside(path) if settings.config.input.calib is None and path.is_dir() else None
+        beside = _calibration_of(path, settings.config.input)
         if beside is not None:  # it may lie above the folder
             made_from["files"] = {**made_from["files"], str(beside): fingerprint(beside)}
         job = Job(name, str(path), out / name, made_from)
@@ -160,3 +158,17 @@ def make_plan(
     if outdated:
         log.warning("running again, as input or settings have changed: %d", outdated)
     return rows, jobs
+
+
+def _calibration_of(path: Path, settings: InputConfig) -> Path | None:
+    """The calibration file that `FolderSource` takes by itself."""
+    from frontend.camera.layouts import calibration_beside
+    from frontend.sources.listing import folder_of, list_images
+
+    if settings.calib is not None:
+        return None
+    try:
+        place = folder_of(list_images(path, settings.fps))
+        return place and calibration_beside(place)
+    except (AirLineError, OSError):  # not images, or none that can be read: opening it will tell
+        return None

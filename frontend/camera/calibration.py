@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from airline.errors import ConfigError, InputError
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
-from frontend.camera.number_files import camera_of, intrinsics, number_rows
+from frontend.camera.number_files import camera_of, intrinsics, left_3x3, number_rows
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +24,7 @@ _MAX_BYTES = 256 * 1024
 _MAX_DEPTH = 32
 _CAMERA = re.compile(r"cam\d{1,4}")
 _NUMBERED = re.compile(r"(?:cam|image_)0?(\d)")  # folders of EuRoC and KITTI
+_RECTIFIED = frozenset({"rect", "rectified"})
 _OPENCV_HEADER = re.compile(r"\A%YAML:1\.\d[^\n]*\n")  # a colon for a space
 
 T = TypeVar("T")
@@ -32,6 +33,7 @@ _Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 _Two = Annotated[list[_Side], Meta(min_length=2, max_length=2)]
 _Four = Annotated[list[_Number], Meta(min_length=4, max_length=4)]
 _Nine = Annotated[list[_Number], Meta(min_length=9, max_length=9)]
+_Twelve = Annotated[list[_Number], Meta(min_length=12, max_length=12)]
 
 
 class _Euroc(Struct):
@@ -54,6 +56,14 @@ class _Ros(Struct):
     distortion_coefficients: list[_Number]
     distortion_model: str | None = None
     fisheye_model: int = 0  # OpenCV's sample names no model
+
+
+class _RosRectified(Struct):
+    """What ROS's `camera_info` says of the rectified images."""
+
+    image_width: _Side
+    image_height: _Side
+    projection_matrix: _Twelve
 
 
 class _Simple(Struct, forbid_unknown_fields=True):
@@ -96,7 +106,8 @@ def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str
     Args:
         path: the file.
         images: the images or their folder, whose name tells which of several cameras they are from: `cam1`, `image_2`.
-            It is the first one where no name tells; of a camchain with a warning.
+            It is the first one where no name tells; of a camchain with a warning. Of ROS's YAML a name such as
+            `image_rect` takes the projection matrix, without the lens.
 
     Raises:
         InputError: the file cannot be read, or a field is missing or makes no sense.
@@ -120,6 +131,8 @@ def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str
             if len(chain) > 1 and number is None:
                 log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
             return Calibration(file, _euroc(chain[name], f"{name}."), name)
+        if "projection_matrix" in tree and images is not None and says_rectified(images):
+            return Calibration(file, _ros_rectified(tree), "projection_matrix")
         for field, camera_in in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
             if field in tree:
                 return Calibration(file, camera_in(tree))
@@ -130,6 +143,16 @@ def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str
         'calib.txt of KITTI or TUM, or JSON such as {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 319.5, '
         '"cy": 239.5}'
     )
+
+
+def is_rectified(name: str) -> bool:
+    """Whether a topic's or a path's name says so of its images, as `/left/image_rect_color/compressed` does."""
+    return any(not _RECTIFIED.isdisjoint(part.split("_")) for part in name.split("/"))
+
+
+def says_rectified(images: str | os.PathLike[str]) -> bool:
+    """Whether one of the last three names in the path of images says that they are rectified."""
+    return is_rectified("/".join(Path(os.path.abspath(images)).parts[-3:]))  # noqa: PTH100  keeps links
 
 
 def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
@@ -175,6 +198,11 @@ def _ros(tree: Mapping[str, Any]) -> CameraModel:
         model = "equidistant" if found.fisheye_model else "plumb_bob"
     distortion = lens(model, found.distortion_coefficients)
     return CameraModel(found.image_width, found.image_height, *intrinsics(found.camera_matrix), *distortion)
+
+
+def _ros_rectified(tree: Mapping[str, Any]) -> CameraModel:
+    found = _checked(tree, _RosRectified)
+    return CameraModel(found.image_width, found.image_height, *intrinsics(left_3x3(found.projection_matrix)))
 
 
 def _simple(tree: Mapping[str, Any]) -> CameraModel:

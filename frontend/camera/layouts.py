@@ -7,8 +7,8 @@ import os
 import re
 from pathlib import Path
 
-from airline.errors import AirLineError
-from frontend.camera.calibration import Calibration, read_calibration
+from airline.errors import AirLineError, InputError
+from frontend.camera.calibration import Calibration, read_calibration, says_rectified
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,10 @@ def find_calibration(images: Path) -> Calibration | None:
     """The calibration that lies with the images of a folder; a warning, and None, where it makes no sense."""
     try:
         file = calibration_beside(images)
-        return None if file is None else read_calibration(file, images)
+        found = None if file is None else read_calibration(file, images)
+        if found is not None and found.camera.distortion != "none" and says_rectified(images):
+            raise InputError(f"'{file}' has a lens, and by their folder's name the images are rectified")
+        return found
     except (AirLineError, OSError) as error:
         log.warning("going on without the calibration that lies with the images: %s", error)
         return None

@@ -65,7 +65,7 @@ def camera_of(rows: list[Row], number: int, *, rectified: bool) -> NumberedCamer
     if len(first) == 12:
         which = f"P{number}" if name else "row 1"
         values = _numbers(dict(rows), which, 12) if name else first
-        return NumberedCamera(_camera(intrinsics(_left(values))), which)
+        return NumberedCamera(_camera(intrinsics(left_3x3(values))), which)
     if counts in ([3] * 3, [4] * 4):
         matrix = [value for _, numbers in rows[:3] for value in numbers[:3]]
         y_up = matrix[4] < 0
@@ -97,7 +97,7 @@ def _camera(
     return CameraModel(*size, fx, fy, cx, cy, *lens(model, coefficients))
 
 
-def _left(projection: list[float]) -> list[float]:
+def left_3x3(projection: Sequence[float]) -> list[float]:
     """Row by row, the 3x3 of a 3x4 matrix, whose last column is the stereo baseline."""
     return [value for k, value in enumerate(projection) if k % 4 < 3]
 
@@ -105,7 +105,7 @@ def _left(projection: list[float]) -> list[float]:
 def _kitti_raw(rows: dict[str, list[float]], number: str, rectified: bool) -> NumberedCamera:
     if rectified:
         size, p = _size(_numbers(rows, f"S_rect_{number}", 2)), _numbers(rows, which := f"P_rect_{number}", 12)
-        return NumberedCamera(_camera(intrinsics(_left(p)), size=size), which)
+        return NumberedCamera(_camera(intrinsics(left_3x3(p)), size=size), which)
     size, k = _size(_numbers(rows, f"S_{number}", 2)), _numbers(rows, which := f"K_{number}", 9)
     return NumberedCamera(_camera(intrinsics(k), "radtan", _numbers(rows, f"D_{number}", 5), size), which)
 

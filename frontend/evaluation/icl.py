@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
-from frontend.sources.folder import list_images
+from frontend.sources.listing import list_images
 from frontend.sources.reading import Image, decode_image
 
 FRAMES_PER_SECOND = 30

@@ -26,7 +26,8 @@ def open_source(
         InputError: it cannot be read.
         ConfigError: an argument that is impossible.
     """
-    from frontend.sources.folder import IMAGE_SUFFIXES, FolderSource
+    from frontend.sources.folder import FolderSource
+    from frontend.sources.listing import IMAGE_SUFFIXES
     from frontend.sources.live import LiveSource
     from frontend.sources.video import VideoSource
 

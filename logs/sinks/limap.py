@@ -69,7 +69,7 @@ class LimapTrackSink:
         overwrite: write into a folder that holds files; those of an earlier run are removed.
 
     Raises:
-        InputError: the folder holds files, or cannot be written; a camera that changes.
+        InputError: the folder holds files, or cannot be written; a camera that changes, comes or goes.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:
@@ -91,7 +91,7 @@ class LimapTrackSink:
         with self._images.writing() as file:
             file.write(b"image_id,stamp_ns,name\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
-        self._camera = ""
+        self._camera: str | None = None
         self._last, self._last_name, self._in_order = -1, "", True
 
     def write(self, result: FrameResult) -> None:
@@ -104,9 +104,8 @@ class LimapTrackSink:
             log.warning("COLMAP sorts '%s' before '%s': take its ids with python -m logs.colmap", name, self._last_name)
             self._in_order = False
         self._last, self._last_name = tracks.frame_index, name
-        if tracks.camera is not None:
-            with self._images.writing(), errors_of(self._folder):
-                self._write_camera(tracks.camera)
+        with self._images.writing(), errors_of(self._folder):
+            self._write_camera(tracks.camera)
         self.add(tracks.frame_index + 1, name, tracks.stamp_ns, *_lines(tracks))
 
     def add(
@@ -154,13 +153,16 @@ class LimapTrackSink:
             np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": ()})
             file.write(text.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
 
-    def _write_camera(self, camera: CameraModel) -> None:
-        numbers = map(float, (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER))
-        text = f"1 PINHOLE {camera.width} {camera.height} {' '.join(map(repr, numbers))}\n"
-        if not self._camera:
+    def _write_camera(self, camera: CameraModel | None) -> None:
+        text = ""
+        if camera is not None:
+            numbers = map(float, (camera.fx, camera.fy, camera.cx + _CORNER, camera.cy + _CORNER))
+            text = f"1 PINHOLE {camera.width} {camera.height} {' '.join(map(repr, numbers))}\n"
+        if self._camera not in (None, text):
+            how = "changes" if text and self._camera else "is known for some frames only"
+            raise InputError(f"cannot write '{self._folder}': the camera {how}, and LIMAP's files know one for all")
+        if text and self._camera is None:
             (self._folder / CAMERAS).write_text(text, encoding="ascii")
-        elif text != self._camera:
-            raise InputError(f"cannot write '{self._folder}': the camera changes, and LIMAP's files know only one")
         self._camera = text
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -11,6 +13,9 @@ import pytest
 
 from frontend import LineFrontend, open_source
 from frontend.batch import run_batch
+from frontend.batch.plan import job_settings, make_plan
+from frontend.camera.calibration import read_calibration
+from frontend.cli.settings import InputConfig, RunConfig
 from logs import read_tracks
 from tests.frontend.test_calibration import DSO, EUROC, ICL, JSON, KALIBR, KITTI, KITTI_RAW, ROS, SCANNET, TUM
 from tests.helpers.command import command
@@ -116,12 +121,38 @@ def test_images_of_another_size_on_the_way(tmp_path: Path, caplog: pytest.LogCap
     folder = images(tmp_path, (752, 480))
     write(folder / "calib.yaml", EUROC)
     cv2.imwrite(str(folder / f"{FIRST + 10**9}.png"), np.zeros((240, 376), np.uint8))
-    cv2.imwrite(str(folder / f"{FIRST + 2 * 10**9}.png"), np.zeros((480, 480), np.uint8))
+    for seconds, width in ((2, 480), (3, 752), (4, 240)):
+        cv2.imwrite(str(folder / f"{FIRST + seconds * 10**9}.png"), np.zeros((480, width), np.uint8))
     source = open_source(folder)
     found = [frame.camera and (frame.camera.width, round(frame.camera.fx, 3)) for frame in source]
-    assert found == [(752, 458.654)] * 2 + [(376, 229.327), None]
+    assert found == [(752, 458.654)] * 2 + [(376, 229.327), None, (752, 458.654), None]
     assert source.calibration is not None
-    assert len(caplog.records) == 1
+    (record,) = caplog.records
+    assert f"at '{FIRST + 2 * 10**9}.png' and the like: the calibration is for" in record.getMessage()
+
+
+def test_an_odd_image_first_does_not_cost_the_others_their_camera(tmp_path: Path) -> None:
+    folder = images(tmp_path / "image_0", (1226, 370))
+    cv2.imwrite(str(folder / f"{FIRST}.png"), np.zeros((370, 600), np.uint8))
+    write(tmp_path / "calib.txt", KITTI)
+    source = open_source(folder)
+    assert [frame.camera and frame.camera.width for frame in source] == [None, 1226]
+    assert source.calibration is not None
+
+
+def test_rectified_images_take_the_projection_matrix(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = images(tmp_path / "image_rect", (640, 480))
+    file = write(folder / "ost.yaml", ROS)
+    source = open_source(folder)
+    for camera in [frame.camera for frame in source] + [read_calibration(file, folder).camera]:
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == (393.6538, 393.6538, 322.797939, 241.090902)
+        assert (camera.width, camera.height, camera.distortion) == (640, 480, "none")
+    assert source.calibration == f"projection_matrix of '{file}', fx 393.7 px"
+    assert not caplog.records
+    for text in (ROS.partition("projection_matrix")[0], EUROC):  # their lens is that of the raw images
+        write(file, text)
+        assert {frame.camera for frame in open_source(folder)} == {None}
+    assert [record.getMessage().count("images are rectified") for record in caplog.records] == [1, 1]
 
 
 def test_a_run_says_what_it_takes(tmp_path: Path) -> None:
@@ -167,6 +198,37 @@ def test_a_batch_takes_it_and_sees_when_it_changes(tmp_path: Path) -> None:
     assert run() == ("skipped", 718.856)
     write(file, KITTI.replace("7.188560000000e+02", "7.000000000000e+02"))
     assert run() == ("done", 700)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "text", "given"),
+    [
+        ("mav0/cam0/data", "mav0/cam0/sensor.yaml", EUROC, "mav0"),
+        ("run/mav0/cam0/data", "run/dso/camchain.yaml", KALIBR, "run"),
+        ("image_0", "calib.txt", KITTI, f"image_0/{FIRST}.png"),
+        ("image_0", "calib.txt", KITTI, "image_0"),
+    ],
+)
+def test_a_batch_knows_each_calibration_that_the_source_takes(tmp_path, place, name, text, given):
+    images(tmp_path / place, (512, 512))
+    file = write(tmp_path / name, text)
+    for config, files in ((RunConfig(), {str(file)}), (RunConfig(input=InputConfig(calib="none")), set())):
+        _, (job,) = make_plan([tmp_path / given], tmp_path, job_settings(config, ["parquet"]), overwrite=False)
+        assert job.made_from["files"].keys() == files
+
+
+def test_planning_loads_no_opencv(tmp_path: Path) -> None:
+    images(tmp_path / "image_0", (64, 48))
+    code = f"""
+import sys
+from pathlib import Path
+from frontend.batch.plan import _calibration_of
+from frontend.cli.settings import InputConfig
+print(_calibration_of(Path({str(tmp_path / "image_0")!r}), InputConfig()), "cv2" in sys.modules)
+"""
+    file = write(tmp_path / "calib.txt", KITTI)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"{file} False\n"
 
 
 def test_times_as_dso_has_them(tmp_path: Path) -> None:

@@ -137,7 +137,11 @@ def test_files_of_an_earlier_run_go_and_others_stay(tmp_path):
 
 @pytest.mark.parametrize(
     ("frame", "camera", "complaint"),
-    [(5, replace(CAMERA, fx=3.0), "camera changes"), (4, CAMERA, "frame 4 follows frame 4")],
+    [
+        (5, replace(CAMERA, fx=3.0), "camera changes"),
+        (5, None, "camera is known for some frames only"),
+        (4, CAMERA, "frame 4 follows frame 4"),
+    ],
 )
 def test_what_the_layout_cannot_hold(tmp_path, frame, camera, complaint):
     stream = [
@@ -146,6 +150,15 @@ def test_what_the_layout_cannot_hold(tmp_path, frame, camera, complaint):
     ]
     with pytest.raises(InputError, match=complaint):
         write(tmp_path / "limap", stream)
+
+
+def test_a_camera_that_comes_later_is_refused(tmp_path):
+    stream = [
+        made_tracks(k, k, np.arange(3), np.random.default_rng(0), camera=one) for k, one in enumerate((None, CAMERA))
+    ]
+    with pytest.raises(InputError, match="camera is known for some frames only"):
+        write(tmp_path / "limap", stream)
+    assert not (tmp_path / "limap/cameras.txt").exists()
 
 
 def test_neighbours_come_in_pairs(tmp_path):

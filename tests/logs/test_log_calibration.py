@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from airline.errors import InputError
-from logs.calibration import camera_of, info_topic_for, is_rectified
+from frontend.camera.calibration import is_rectified
+from logs.calibration import camera_of, info_topic_for
 from logs.messages.types import CameraInfo
 
 K = (500.0, 0.0, 321.5, 0.0, 510.0, 241.5, 0.0, 0.0, 1.0)
