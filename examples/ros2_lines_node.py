@@ -18,6 +18,9 @@ from sensor_msgs.msg import ChannelFloat32, PointCloud
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+MOST_MISSING = 1000  # images; as many clouds wait for a slow subscriber
+ARRAYS = {"ids": ("<i8",), "states": ("|u1",), "stable": ("|b1",), "observed_normalized": ("<f4", 2, 2)}
+
 
 def frames_from(address):
     """The frames of a stream, to its end."""
@@ -29,21 +32,37 @@ def frames_from(address):
             if stream not in (None, frame["stream"]):
                 sys.exit("the publisher began anew: start this node and PL-VINS again, too")
             stream = frame["stream"]
-            yield frame
+            if frame["type"] == "tracks":  # other types may be added
+                yield frame
 
 
 def frame_of(data):
-    """A message, with its arrays; docs/backends.md describes it."""
-    frame = msgpack.unpackb(data)
-    if frame["version"] != 1:
-        sys.exit(f"the stream has version {frame['version']} of the protocol")
-    if frame["type"] == "tracks":
-        if frame["camera"] is None:
-            sys.exit("PL-VINS needs normalized coordinates: give frontend.run the calibration with --calib FILE")
-        for name, array in frame["arrays"].items():
-            frame[name] = np.frombuffer(array["data"], array["dtype"]).reshape(array["shape"])
-        frame["usable"] = np.isfinite(frame["observed_normalized"]).all((1, 2))  # a lens model can end
-    return frame
+    """Type and stream of a message, and what is needed of `tracks`; docs/backends.md describes it."""
+    try:
+        message = msgpack.unpackb(data)
+        if message["version"] != 1:
+            sys.exit(f"the stream has version {message['version']} of the protocol")
+        frame = {"type": message["type"], "stream": message["stream"]}
+        return frame if frame["type"] != "tracks" else {**frame, **tracks_of(message)}
+    except Exception as error:  # whatever it is that came
+        sys.exit(f"this is no message of `frontend.run --publish`: {error!r}")
+
+
+def tracks_of(message):
+    """Numbers and arrays of a `tracks` message."""
+    if message["camera"] is None:
+        sys.exit("PL-VINS needs normalized coordinates: give frontend.run the calibration with --calib FILE")
+    index, stamp_ns, stride = message["frame_index"], message["stamp_ns"], message.get("stride", 1)
+    if not (index >= 0 and 0 <= stamp_ns < 2**31 * 10**9 and stride >= 1):
+        raise ValueError(f"frame {index} of stride {stride} at {stamp_ns} ns")
+    tracks = {"frame_index": int(index), "stamp_ns": int(stamp_ns), "stride": int(stride)}
+    for name, (dtype, *shape) in ARRAYS.items():
+        array = message["arrays"][name]
+        tracks[name] = np.frombuffer(array["data"], dtype).reshape(array["shape"])
+        if array["dtype"] != dtype or tracks[name].shape != (len(tracks["ids"]), *shape):
+            raise ValueError(f"array {name} is {array['dtype']} {array['shape']}")
+    tracks["usable"] = np.isfinite(tracks["observed_normalized"]).all((1, 2))  # a lens model can end
+    return tracks
 
 
 def header_of(stamp_ns, frame_id):
@@ -65,25 +84,27 @@ def cloud_of(stamp_ns, numbers, segments):
 class PlVinsClouds:
     """The clouds of each frame, one for each message of PL-VINS's point tracker, which it pairs them with by order.
 
-    So there is none for the first frame, and an empty one for each that is missing between two others.
+    That publishes every stride-th image, but not the first of all. So there is an empty cloud for each of them that is
+    missing, between two frames or, if this node came late, before the first.
     """
 
     def __init__(self):
         self.numbers, self.next = {}, 0  # of the tracks in the cloud before, and of the next new one
-        self.before, self.stride = None, 0
+        self.before, self.sent = None, 0  # index and stamp of the frame before; image of the cloud before
 
     def of_frame(self, frame):
-        index, stamp_ns = frame["frame_index"], frame["stamp_ns"]
-        if self.before is None:  # more than none if this node came late
-            count, before_ns = frame["sequence"], stamp_ns - frame["sequence"]
-        else:
-            step, before_ns = max(1, index - self.before[0]), self.before[1]
-            self.stride = min(self.stride or step, step)
-            count = step // self.stride
+        index, stamp_ns, stride = frame["frame_index"], frame["stamp_ns"], frame["stride"]
+        if index % stride:
+            sys.exit(f"frame {index} is none that PL-VINS publishes, whose numbers {stride} divides: use no --start")
+        before, before_ns = self.before or (0, max(0, stamp_ns - index))
         self.before = index, stamp_ns
-        if count == 0:
+        missing = (index - self.sent) // stride - 1
+        if missing < 0:
             return []
-        if count > 1:
+        if missing > MOST_MISSING:
+            sys.exit(f"{missing} images are missing before frame {index}: start this node before the frontend")
+        images, self.sent = range(self.sent + stride, index, stride), index
+        if missing:
             self.numbers = {}
         chosen = (frame["states"] == 1) & frame["usable"]
         numbers = {}
@@ -93,7 +114,8 @@ class PlVinsClouds:
             numbers[track] = self.numbers[track]
         self.numbers = numbers
         none = np.zeros((0, 2, 2))
-        clouds = [cloud_of(before_ns + (stamp_ns - before_ns) * k // count, [], none) for k in range(1, count)]
+        stamps = [before_ns + (stamp_ns - before_ns) * (image - before) // (index - before) for image in images]
+        clouds = [cloud_of(one, [], none) for one in stamps]
         return [*clouds, cloud_of(stamp_ns, list(numbers.values()), frame["observed_normalized"][chosen])]
 
 
@@ -109,7 +131,7 @@ def markers_of(frame):
 def main(address):
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends the loop below
     node = Node("airline_lines")
-    clouds = node.create_publisher(PointCloud, "/linefeature_tracker/linefeature", 1000)
+    clouds = node.create_publisher(PointCloud, "/linefeature_tracker/linefeature", MOST_MISSING)
     markers = node.create_publisher(MarkerArray, "/lines/markers", 10)
     lines = PlVinsClouds()
     for frame in frames_from(address):

@@ -65,9 +65,10 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
         server = stack.enter_context(wiring.web_viewer()) if options.serve else None
         with ExitStack() as opened:
             source = opened.enter_context(closing(wiring.open_input(options.input, config)))
+            stride = config.input.stride
             publishers = []
             for address in options.publish:
-                publisher = wiring.open_publisher(address, source.name, labels=options.labels)
+                publisher = wiring.open_publisher(address, source.name, labels=options.labels, stride=stride)
                 publishers.append(opened.enter_context(closing(publisher)))
             for publisher in publishers:
                 print(f"publishing at {publisher.address}", flush=True)
@@ -80,7 +81,11 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 yield from publishers  # first, so that nobody there waits for the others
                 for spec in options.out:
                     yield wiring.open_track_sink(
-                        spec, overwrite=options.overwrite, with_images=options.with_images, labels=options.labels
+                        spec,
+                        overwrite=options.overwrite,
+                        with_images=options.with_images,
+                        labels=options.labels,
+                        stride=stride,
                     )
                 if save is not None or viewer is not None:
                     yield wiring.open_recording(save, viewer, source.name, config, video)

@@ -99,11 +99,13 @@ def track_files(specs: list[str], *, overwrite: bool) -> list[Path]:
     return [kind_and_path(spec)[1] for spec in specs]
 
 
-def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
+def open_track_sink(
+    spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False, stride: int = 1
+) -> Sink:
     """An output for tracked lines; see `logs.sinks.open`."""
     from logs.sinks.open import open_track_sink
 
-    return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels)
+    return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels, stride=stride)
 
 
 def read_tracks(path: Path) -> Iterator[LineTracks]:
@@ -113,11 +115,11 @@ def read_tracks(path: Path) -> Iterator[LineTracks]:
     return read_tracks(path)
 
 
-def open_publisher(address: str, name: str, *, labels: bool) -> ZmqPublisher | FoxgloveServer:
+def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> ZmqPublisher | FoxgloveServer:
     """A sink that sends tracked lines to other processes; see `logs.sinks.open`."""
     from logs.sinks.open import open_publisher
 
-    return open_publisher(address, name, labels=labels)
+    return open_publisher(address, name, labels=labels, stride=stride)
 
 
 def video_to_log(spec: str | None, config: RunConfig) -> Path | None:

@@ -116,7 +116,8 @@ class SelectedFrames(WrappedSource):
     Args:
         source: the stream; closed also where a value is impossible.
         start_s, end_s: seconds since the stream's first frame; start is included, end is not.
-        stride: keep the first frame from start_s on and every stride-th after it.
+        stride: keep every stride-th frame, by index, from 0 on or with start_s from the first one: that a frame cannot
+            be read changes nothing for the others.
         max_frames: yield at most so many frames.
         resize: (width, height) px, or (width, None) to keep the aspect ratio; `Frame.camera` is scaled along.
 
@@ -170,7 +171,8 @@ class SelectedFrames(WrappedSource):
 
     def __iter__(self) -> Iterator[Frame]:
         origin_ns = self._source.first_stamp_ns
-        position = yielded = 0
+        first = None if self._start_ns else 0
+        yielded = 0
         for frame in self._source:
             origin_ns = frame.stamp_ns if origin_ns is None else origin_ns
             elapsed_ns = frame.stamp_ns - origin_ns
@@ -178,8 +180,8 @@ class SelectedFrames(WrappedSource):
                 return
             if elapsed_ns < self._start_ns:
                 continue
-            position += 1
-            if (position - 1) % self._stride:
+            first = frame.index if first is None else first
+            if (frame.index - first) % self._stride:
                 continue
             yield frame if self._resize is None else _resized(frame, *self._resize)
             yielded += 1

@@ -60,17 +60,22 @@ def check(spec: str, overwrite: bool = False) -> None:
     refuse(path, overwrite)
 
 
-def open_track_sink(spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False) -> Sink:
+def open_track_sink(
+    spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False, stride: int = 1
+) -> Sink:
     """Open an output for tracked lines; raises InputError where `check` does.
 
     Args:
         spec: see `kind_and_path`.
         overwrite: replace what is there.
         with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
+        stride: the frames will be every stride-th of the recording, which PL-VINS's formats have to know.
     """
     kind, path = kind_and_path(spec)
     _, module, sink, _ = KINDS[kind]
-    options = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
+    options: dict[str, int] = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
+    if module == "plvins":
+        options = {"stride": stride}
     opened: Sink = getattr(import_module(f"logs.sinks.{module}"), sink)(path, overwrite=overwrite, **options)
     return opened
 
@@ -123,8 +128,8 @@ def cannot_publish(address: Address, reason: str) -> InputError:
     return InputError(f"cannot publish at {address} ({reason}): choose another address")
 
 
-def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPublisher | FoxgloveServer:
-    """Bind an address, see `parse_address`, for tracked lines; viewers also get ids as labels.
+def open_publisher(address: str, name: str, *, labels: bool = False, stride: int = 1) -> ZmqPublisher | FoxgloveServer:
+    """Bind an address, see `parse_address`, for tracked lines of every stride-th frame; viewers also get ids as labels.
 
     Raises:
         ConfigError: no address, or the extra that serves it is not installed.
@@ -137,4 +142,4 @@ def open_publisher(address: str, name: str, *, labels: bool = False) -> ZmqPubli
         return FoxgloveServer(parsed, name, labels=labels)
     from logs.sinks.zeromq import ZmqPublisher
 
-    return ZmqPublisher(parsed, name)
+    return ZmqPublisher(parsed, name, stride)

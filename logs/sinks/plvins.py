@@ -23,6 +23,7 @@ from logs.sinks.output import McapOutput
 from logs.tracks.json import SECOND_NS
 
 TOPIC = "/linefeature_tracker/linefeature"
+MOST_MISSING = 100_000  # images, about an hour of a camera
 
 _TYPE = "sensor_msgs/msg/PointCloud"
 _FRAME_ID = "world"
@@ -36,11 +37,12 @@ class PlVinsLines:
 
     PL-VINS's estimator pairs the messages of lines with those of its point tracker by their order, not their stamps.
 
-    - So the first frame has no message. The tracker limits its rate to what it has published so far, divided by the
-      time since its first image; with the first image itself that is one by zero, and nothing is published. (That of
-      EPLF-VINS does the same, and pairs by stamp: nothing is lost.)
-    - Frames that are missing between two others, which `frame_index` tells, have an empty message each: the tracker has
-      seen them. With a stride, the smallest step between two frames so far counts as one.
+    - So image 0 of the recording has no message. The tracker limits its rate to what it has published so far, divided
+      by the time since its first image; with the first image itself that is one by zero, and nothing is published.
+      (That of EPLF-VINS does the same, and pairs by stamp: nothing is lost.)
+    - From there on it publishes every stride-th image, and each of them has a message, by `frame_index`: an empty one
+      before the next frame's, if it could not be read, or was dropped or left out before the first frame. Stamps of
+      empty ones lie between their neighbours', or 1 ns apart before the first frame's, but not before 1970.
     - Only confirmed tracks: PL-VINS makes a landmark of every number, and has no way to take back one that was noise.
     - Numbers are not track ids. PL-VINS takes the observations of a number for those of consecutive messages: a track
       that was lost for a while goes on under a new one. And it sends numbers as float32, so they are counted from 0
@@ -49,34 +51,48 @@ class PlVinsLines:
     - Lines with an end that no undistortion reaches are left out.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stride: int = 1) -> None:
+        """Lines of every stride-th image of a recording."""
+        self._stride = stride
         self._numbers: dict[int, int] = {}  # of the tracks in the message before
         self._next = 0
         self._before: tuple[int, int] | None = None  # index and stamp of the frame before
-        self._stride = 0
+        self._written = 0  # image of the message before
 
     def of_frame(self, tracks: LineTracks) -> list[Cloud]:
-        """The messages of the next frame, and of those that are missing before it.
+        """The messages of the images since the frame before, the last of them the next frame's own.
 
         Returns:
             For each message its stamp (ns), (K,) float32 numbers, and (K, 2, 2) float32 end points, undistorted, on the
             plane z = 1.
 
         Raises:
-            ConfigError: a frame without a camera.
+            ConfigError: a frame without a camera, or between two strides.
+            InputError: more than `MOST_MISSING` images are missing.
         """
         segments = tracks.observed_normalized
         if segments is None:
             raise ConfigError("PL-VINS needs normalized coordinates: give the camera's calibration with --calib FILE")
-        before, self._before = self._before, (tracks.frame_index, tracks.stamp_ns)
-        if before is None:
+        index, stamp_ns = tracks.frame_index, tracks.stamp_ns
+        if index % self._stride:  # behind --start
+            raise ConfigError(
+                f"frame {index} is none that PL-VINS publishes, which are those whose number {self._stride} divides: "
+                "use another --start"
+            )
+        due = range(self._written + self._stride, index + 1, self._stride)
+        before, before_ns = self._before or (0, max(0, stamp_ns - index))
+        self._before = index, stamp_ns
+        if not due:
             return []
-        step = max(1, tracks.frame_index - before[0])
-        self._stride = min(self._stride or step, step)
-        count = step // self._stride
-        stamps = [before[1] + (tracks.stamp_ns - before[1]) * k // count for k in range(1, count + 1)]
-        if count > 1:
+        missing = len(due) - 1
+        if missing > MOST_MISSING:
+            raise InputError(
+                f"{missing} images are missing before frame {index}, and PL-VINS needs an empty message for each: no "
+                f"more than {MOST_MISSING} are written"
+            )
+        if missing:
             self._numbers = {}
+        self._written = index
         usable = tracks.confirmed & np.isfinite(segments).all((1, 2))
         numbers = {}
         for track in tracks.ids[usable].tolist():
@@ -86,25 +102,29 @@ class PlVinsLines:
             numbers[track] = number
         self._numbers = numbers
         nothing = np.zeros(0, np.float32), np.zeros((0, 2, 2), np.float32)
-        empty: list[Cloud] = [(stamp_ns, *nothing) for stamp_ns in stamps[:-1]]
-        return [*empty, (stamps[-1], np.array(list(numbers.values()), np.float32), segments[usable])]
+        empty: list[Cloud] = [
+            (before_ns + (stamp_ns - before_ns) * (image - before) // (index - before), *nothing) for image in due[:-1]
+        ]
+        return [*empty, (stamp_ns, np.array(list(numbers.values()), np.float32), segments[usable])]
 
 
 class PlVinsBagSink:
-    """Writes a `sensor_msgs/PointCloud` for each frame but the first into a ROS 1 bag, for `rosbag play`; a `Sink`.
+    """Writes a `sensor_msgs/PointCloud` for each image but the first into a ROS 1 bag, for `rosbag play`; a `Sink`.
 
     A message has the frame's stamp and, for each of the `PlVinsLines`, the start in `points` and in `channels` the
-    number, and u and v of the end. PL-VINS's point tracker has to publish every frame, too, or lines meet the points of
-    other frames: `freq: 0` in PL-VINS's configuration.
+    number, and u and v of the end. PL-VINS's point tracker has to publish the same images, or lines meet the points of
+    other ones: `freq: 0` in PL-VINS's configuration.
 
-    Arguments and errors are those of `OutputFile`; a frame without a camera is a ConfigError.
+    Args:
+        path, overwrite: see `OutputFile`, also for errors; those of `PlVinsLines.of_frame` come while writing.
+        stride: the frames are every stride-th image of the recording.
     """
 
     _output: BagOutput | McapOutput
 
-    def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False, stride: int = 1) -> None:
         self._store = get_typestore(Stores.ROS1_NOETIC)
-        self._lines = PlVinsLines()
+        self._lines = PlVinsLines(stride)
         self._count = 0
         self._open(Path(path), overwrite, *self._store.generate_msgdef(_TYPE, ros_version=1))
 

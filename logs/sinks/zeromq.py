@@ -38,8 +38,9 @@ class ZmqPublisher:
     Arguments and errors are those of `open_publisher`; `address` is then where it can be reached, with the port found.
     """
 
-    def __init__(self, address: Address, name: str) -> None:
+    def __init__(self, address: Address, name: str, stride: int = 1) -> None:
         self._name = name
+        self._stride = stride
         self._stream = time.time_ns()
         self._sequence = 0
         self._context = zmq.Context()
@@ -74,9 +75,8 @@ class ZmqPublisher:
         self._context.term()
 
     def _send(self, result: FrameResult | None) -> None:
-        self._socket.send(
-            encode(result, stream=self._stream, sequence=self._sequence, name=self._name, sent_ns=time.time_ns())
-        )
+        envelope = {"stream": self._stream, "sequence": self._sequence, "sent_ns": time.time_ns()}
+        self._socket.send(encode(result, name=self._name, stride=self._stride, **envelope))
         self._sequence += 1
 
 

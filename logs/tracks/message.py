@@ -37,6 +37,7 @@ class LiveTracks:
         read_ns: wall-clock time when the frame had been read, 0 where unknown.
         image_size: (width, height) of the frame, px.
         tracks: of the frame; None in the last message of a stream.
+        stride: the frames are every stride-th of their source, but for those that could not be read or were dropped.
     """
 
     stream: int
@@ -46,6 +47,7 @@ class LiveTracks:
     read_ns: int = 0
     image_size: tuple[int, int] = (0, 0)
     tracks: LineTracks | None = None
+    stride: int = 1
 
 
 class _Array(msgspec.Struct):
@@ -86,6 +88,7 @@ class _Tracks(_Envelope):
     camera: Camera | None
     reset: str | None
     arrays: dict[str, _Array]
+    stride: Annotated[int, Meta(ge=1, le=2**63 - 1)] = 1
 
     def model(self) -> LineTracks:
         """The tracks; raises ValueError for arrays that do not fit, ConfigError for an odd camera."""
@@ -105,7 +108,9 @@ class _Tracks(_Envelope):
 _encoder = msgspec.msgpack.Encoder()
 
 
-def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str, sent_ns: int) -> bytes:
+def encode(
+    result: FrameResult | None, *, stream: int, sequence: int, name: str, sent_ns: int, stride: int = 1
+) -> bytes:
     """The message of one frame, or without one that which ends a stream; see `LiveTracks` for the other arguments."""
     readable = name.encode("utf-8", "replace").decode()  # a file's name need not be text
     envelope = (readable, stream, sequence, sent_ns)
@@ -120,7 +125,7 @@ def encode(result: FrameResult | None, *, stream: int, sequence: int, name: str,
         arrays[field.name] = _Array(dtype.str, array.shape, np.asarray(array, dtype).tobytes())
     message = _Tracks(
         *(VERSION, "tracks", *envelope, result.read_ns, int(tracks.frame_index), int(tracks.stamp_ns)),
-        *((width, height), Camera.of(tracks.camera), tracks.reset, arrays),
+        *((width, height), Camera.of(tracks.camera), tracks.reset, arrays, stride),
     )
     return _encoder.encode(message)
 
@@ -141,7 +146,7 @@ def decode(data: bytes) -> LiveTracks:
         if head.type == "end":
             return LiveTracks(*envelope)
         body = msgspec.msgpack.decode(data, type=_Tracks)
-        return LiveTracks(*envelope, body.read_ns, body.image_size, body.model())
+        return LiveTracks(*envelope, body.read_ns, body.image_size, body.model(), body.stride)
     except InputError:
         raise
     except (msgspec.MsgspecError, ValueError, RecursionError, AirLineError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from logs import read_tracks
 from tests.helpers.camera_logs import Channel, Logged, text, write_log
 from tests.helpers.camera_messages import ROS2, cdr, info_fields, rendered
 from tests.helpers.command import command, recorded, refusal
+from tests.helpers.plvins import read_bag
 
 EPOCH_NS = 1_700_000_000 * 10**9
 STEP_NS = 33_333_333
@@ -108,6 +110,20 @@ def test_calibration_file_and_undistortion(desk: Path, clip: Path) -> None:
         refused = command(clip, "--headless", *flags)
         assert (refused.code, refused.err.count("\n")) == (2, 1), refused
         assert hint in refused.err
+
+
+@pytest.mark.parametrize("start_s", [0, 0.19])
+def test_pl_vins_gets_a_message_of_every_image_of_the_stride(desk: Path, clip: Path, start_s: float) -> None:
+    """Two images cannot be read, the first among them."""
+    images = sorted(Path(shutil.copytree(clip, "images")).iterdir())
+    for number in (0, 4):
+        images[number].write_bytes(b"no image")
+    Path("camera.json").write_text('{"width": 160, "height": 120, "fx": 120, "fy": 120, "cx": 79.5, "cy": 59.5}')
+    flags = ("--headless", "--calib", "camera.json", "--stride", 2, "--start", start_s, "--out", "lines.bag")
+    assert command("images", *flags).code == 0
+    six_ns, two_ns = round(6e9 / 30), round(2e9 / 30)
+    expected = [six_ns - 4, six_ns - 2, six_ns] if start_s else [two_ns, (two_ns + six_ns) // 2, six_ns]
+    assert [stamp_ns for stamp_ns, _ in read_bag(desk / "lines.bag")] == expected
 
 
 def test_time_source_and_start(desk: Path) -> None:

@@ -16,7 +16,7 @@ from tests.helpers.sources import Listed, Seekable
 
 def frames_at(stamps: list[int]) -> list[Frame]:
     image = np.zeros((40, 60), np.uint8)
-    return [Frame(3 * number, stamp, image) for number, stamp in enumerate(stamps)]
+    return [Frame(number, stamp, image) for number, stamp in enumerate(stamps)]
 
 
 @given(
@@ -49,11 +49,19 @@ def test_takes_no_more_than_needed_and_passes_the_rest_on() -> None:
     source = Listed(frames_at(list(range(100))), endless=True, skipped=2)
     selection = SelectedFrames(source, stride=10, max_frames=3)
     assert selection.frame_count == 3
-    assert [frame.index for frame in selection] == [0, 30, 60]
+    assert [frame.index for frame in selection] == [0, 10, 20]
     assert source.read == 21
     assert (selection.name, selection.skipped, selection.dropped, selection.live) == ("listed", 2, 0, False)
     selection.close()
     assert source.closed
+
+
+@pytest.mark.parametrize(
+    ("start_s", "missing", "kept"), [(None, [0, 3], [2, 4, 6, 8]), (None, [2], [0, 4, 6, 8]), (3, [4, 5], [3, 7, 9])]
+)
+def test_a_frame_that_cannot_be_read_moves_no_other(start_s: int | None, missing: list[int], kept: list[int]) -> None:
+    source = Listed([frame for frame in frames_at([k * 10**9 for k in range(10)]) if frame.index not in missing])
+    assert [frame.index for frame in SelectedFrames(source, start_s=start_s, stride=2)] == kept
 
 
 def test_the_first_frame_can_be_looked_at() -> None:
@@ -68,7 +76,7 @@ def test_the_first_frame_can_be_looked_at() -> None:
 
 def test_a_seekable_source_is_not_read_from_the_start() -> None:
     source = Seekable(frames_at([second * 10**9 for second in range(100)]))
-    assert [frame.index for frame in SelectedFrames(source, start_s=90, end_s=92)] == [270, 273]
+    assert [frame.index for frame in SelectedFrames(source, start_s=90, end_s=92)] == [90, 91]
     assert source.read == 3
 
 

@@ -37,7 +37,8 @@ def with_array(name: str, **changes: Any) -> dict[str, Any]:
 def test_a_message_says_where_it_is_from() -> None:
     message = decode(encoded())
     assert (message.stream, message.sequence, message.name, message.sent_ns) == tuple(ENVELOPE.values())
-    assert message.image_size == (320, 240)
+    assert (message.image_size, message.stride) == ((320, 240), 1)
+    assert decode(encode(result_of(TRACKS), **ENVELOPE, stride=3)).stride == 3
     assert message.tracks is not None
     message.tracks.segments_px[:] = 0  # it is the receiver's own
 
@@ -63,6 +64,13 @@ def test_what_is_derived_is_nan_without_a_camera(field: Field) -> None:
         assert (np.isnan(numbers) == (camera is None)).all()
 
 
+def test_of_programs_before_strides_every_frame_is_taken() -> None:
+    message = unpacked(stride=2)
+    assert decode(msgspec.msgpack.encode(message)).stride == 2
+    del message["stride"]
+    assert decode(msgspec.msgpack.encode(message)).stride == 1
+
+
 def test_the_end() -> None:
     assert decode(encode(None, **ENVELOPE)) == LiveTracks(17, 3, "clip", 2**62)
 
@@ -83,6 +91,7 @@ def test_what_is_no_message_or_was_cut_is_refused(data: bytes) -> None:
         (unpacked(version=2, arrays="something new"), "version 2 .* version 1"),
         (unpacked(type="noise"), "noise"),
         (unpacked(stamp_ns=2**63), "stamp_ns"),
+        (unpacked(stride=0), "stride"),
         (unpacked(arrays={}), "'ids' is missing"),
         (unpacked(camera={"width": 1}), "camera"),
         (unpacked(camera={**unpacked()["camera"], "fx": 0.0}), "focal lengths"),

@@ -148,6 +148,19 @@ def test_one_that_is_killed_harms_nobody() -> None:
     assert other.lost == 0
 
 
+def test_the_stride_arrives() -> None:
+    with (
+        closing(open_publisher("tcp://127.0.0.1:0", "made", stride=2)) as source,
+        subscribe_tracks(source.address) as subscription,
+    ):
+        thread = threading.Thread(target=publish, args=(source, frames(3)))
+        thread.start()
+        next(iter(subscription))
+        thread.join()
+        assert subscription.latest is not None
+        assert subscription.latest.stride == 2
+
+
 def test_gaps_are_counted(sender: tuple[Callable[..., None], str], caplog: pytest.LogCaptureFixture) -> None:
     send, address = sender
     (tracks,) = frames(1)

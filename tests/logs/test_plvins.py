@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +43,8 @@ in_every_format = pytest.mark.parametrize(("name", "read"), FORMATS)
 EPOCH_NS = 1_403_636_579_763_555_584
 
 
-def written(path: Path, stream: list[LineTracks], read: Callable[[Path], Clouds]) -> Clouds:
-    write_all(open_track_sink(str(path)), stream)
+def written(path: Path, stream: list[LineTracks], read: Callable[[Path], Clouds], stride: int = 1) -> Clouds:
+    write_all(open_track_sink(str(path), stride=stride), stream)
     return read(path)
 
 
@@ -79,27 +80,38 @@ JITTER_NS = 4_000_000
 RATES = [(10, 0, 1), (15, 0, 1), (20, 0, 1), (30, 0, 1), (20, 10, 2), (30, 15, 2), (30, 10, 3)]
 
 
-@pytest.mark.parametrize("missing", [[], [5, 12, 13]], ids=["all", "some missing"])
+MISSING = {
+    "all": [],
+    "some missing": [5, 12, 13],
+    "the first missing": [0],
+    "some missing behind the first": [1, 2, 3],
+    "a live camera, which warms up": list(range(1, 15)),
+    "late": list(range(15)),
+    "every second missing": list(range(1, 61, 2)),
+}
+
+
+@pytest.mark.parametrize("missing", MISSING.values(), ids=MISSING.keys())
 @pytest.mark.parametrize(("rate", "freq", "stride"), RATES)
 @pytest.mark.parametrize("route", ["plvins.mcap", "lines.bag", "node"])
 def test_every_line_meets_the_points_of_its_own_frame(route, rate, freq, stride, missing, tmp_path, monkeypatch):
     """Points that PL-VINS's tracker makes of all images, with the lines that we make of those that we got."""
     jitter_ns = JITTER_NS if freq == 0 else JITTER_NS // 10  # a camera's stamps are not even
-    shifts_ns = np.random.default_rng(0).integers(-jitter_ns, jitter_ns, 61).tolist()
+    shifts_ns = np.random.default_rng(0).integers(-jitter_ns, jitter_ns, 91).tolist()
     stamps_ns = [EPOCH_NS + k * 10**9 // rate + shift_ns for k, shift_ns in enumerate(shifts_ns)]
-    stream = drive([k for k in range(0, 61, stride) if k // stride not in missing], stamps_ns)
+    stream = drive([k for k in range(0, 91, stride) if k // stride not in missing], stamps_ns)
     if route == "node":
-        node = load_node(monkeypatch)
-        clouds = sent_by(node, stream)
+        clouds = sent_by(load_node(monkeypatch), stream, stride)
     else:
-        clouds = written(tmp_path / route, stream, read_mcap if route == "plvins.mcap" else read_bag)
+        clouds = written(tmp_path / route, stream, read_mcap if route == "plvins.mcap" else read_bag, stride)
 
-    points = published(stamps_ns, freq)
+    points = [k for k in published(stamps_ns, freq) if k <= stream[-1].frame_index]
     frames = {tracks.frame_index: tracks for tracks in stream}
     assert points == [k * stride for k in range(1, len(clouds) + 1)], "as many as there are clouds, none of the first"
     for index, (stamp_ns, lines) in zip(points, clouds, strict=True):
         assert (stamp_ns == stamps_ns[index]) == (index in frames)
         assert len(lines) == (len(frames[index]) if index in frames else 0)
+    assert all(before < after for (before, _), (after, _) in pairwise(clouds))
     found = landmarks(lines for _, lines in clouds)
     assert len(found) > 60
     for first, observations in found:
@@ -117,24 +129,55 @@ def test_a_tracker_that_leaves_out_frames_is_no_match(rate, freq):
     assert published([EPOCH_NS + k * 10**9 // rate for k in range(30)], freq)[:3] != [1, 2, 3]
 
 
-def sent_by(node, stream: list[LineTracks], first: int = 0) -> Clouds:
-    """What the ROS 2 node publishes for these frames, when their messages are numbered from `first`."""
+def sent_by(node, stream: list[LineTracks], stride: int = 1) -> Clouds:
+    """What the ROS 2 node publishes for these frames."""
     lines = node["PlVinsClouds"]()
     clouds = []
-    for number, tracks in enumerate(stream, first):
-        data = encode(result_of(tracks), stream=1, sequence=number, name="", sent_ns=0)
+    for tracks in stream:
+        data = encode(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0, stride=stride)
         clouds += lines.of_frame(node["frame_of"](data))
     return clouds_of(clouds)
 
 
-def test_a_node_that_comes_late_sends_what_it_missed_empty(monkeypatch):
-    stamps_ns = [EPOCH_NS + k * 10**8 for k in range(20)]
-    stream = drive(list(range(20)), stamps_ns)
-    node = load_node(monkeypatch)
-    late = sent_by(node, stream[5:], first=5)
-    assert [len(lines) for _, lines in late] == [0] * 4 + [len(tracks) for tracks in stream[5:]]
-    assert [stamp_ns for stamp_ns, _ in late][4:] == stamps_ns[5:]
-    assert late == sorted(late, key=lambda cloud: cloud[0])
+@in_every_format
+def test_before_a_first_frame_at_time_zero_stamps_repeat_and_the_order_is_kept(tmp_path, name, read, monkeypatch):
+    """A video's time begins with its first frame that can be read, and ROS has none before 1970."""
+    stream = drive([3, 5], [0, 0, 0, 0, 0, 5])
+    clouds = written(tmp_path / name, stream, read)
+    assert [stamp_ns for stamp_ns, _ in clouds] == [0, 0, 0, 2, 5]
+    assert [len(lines) for _, lines in clouds] == [0, 0, len(stream[0]), 0, len(stream[1])]
+    assert sent_by(load_node(monkeypatch), stream) == clouds
+
+
+def test_a_number_that_comes_again_has_no_second_message(tmp_path):
+    stream = drive([0, 1, 2], [0, 1, 2])
+    assert written(tmp_path / "a.bag", [*stream[:2], *stream[1:]], read_bag) == written(
+        tmp_path / "b.bag", stream, read_bag
+    )
+
+
+def test_too_many_missing_images_are_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(plvins, "MOST_MISSING", 1000)  # the node's
+    rng = np.random.default_rng(0)
+    for first in ([], [made_tracks(0, 0, np.arange(3), rng)]):
+        enough, many, absurd = (made_tracks(k, 10**9, np.arange(3), rng) for k in (1001, 1002, 2**63 - 1))
+        node = load_node(monkeypatch)
+        assert len(written(tmp_path / f"{len(first)}.bag", [*first, enough], read_bag)) == 1001
+        assert len(sent_by(node, [*first, enough])) == 1001
+        for tracks in (many, absurd):
+            with pytest.raises(InputError, match=f"{tracks.frame_index - 1} images are missing"):
+                written(tmp_path / "many.bag", [*first, tracks], read_bag)
+            with pytest.raises(SystemExit, match=f"{tracks.frame_index - 1} images are missing"):
+                sent_by(node, [*first, tracks])
+            (tmp_path / "many.bag").unlink()
+
+
+def test_a_frame_between_those_that_pl_vins_publishes_is_an_error(tmp_path, monkeypatch):
+    stream = drive([3, 5, 7], list(range(8)))
+    with pytest.raises(ConfigError, match=r"frame 3 .*--start"):
+        written(tmp_path / "lines.bag", stream, read_bag, stride=2)
+    with pytest.raises(SystemExit, match=r"frame 3 .*--start"):
+        sent_by(load_node(monkeypatch), stream, stride=2)
 
 
 @in_every_format

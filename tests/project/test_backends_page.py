@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import zmq
 
 from frontend.tracks import LineTracks
 from logs.sinks.open import open_publisher
@@ -73,6 +74,73 @@ def test_the_node_says_what_it_cannot_use(node: dict[str, Any]) -> None:
         frame_of(node, made_tracks(0, 0, np.arange(9), np.random.default_rng(0), camera=None))
     with pytest.raises(SystemExit, match="version 2"):
         node["frame_of"](msgspec.msgpack.encode({"version": 2}))
+
+
+def good(**changes: Any) -> dict[str, Any]:
+    """A message's fields."""
+    tracks = made_tracks(3, 8, np.arange(9), np.random.default_rng(0))
+    data = encode(result_of(tracks), stream=7, sequence=0, name="", sent_ns=0)
+    return {**msgspec.msgpack.decode(data), **changes}
+
+
+def with_array(name: str, **changes: Any) -> dict[str, Any]:
+    message = good()
+    message["arrays"][name].update(changes)
+    return message
+
+
+NO_MESSAGES = [
+    *(b"", b"\xc1", b"noise", b"\xdd\xff\xff\xff\xff", b"\x91" * 100_000),
+    *map(msgspec.msgpack.encode, ([], [1, "tracks"], None, 1, "version", {}, {"version": 1}, {1: 2}, {"stream": 7})),
+    *map(msgspec.msgpack.encode, ({"version": 1, "type": "tracks"}, {"version": 1, "type": "end"})),
+    *(msgspec.msgpack.encode(good())[:size] for size in (1, 100, 1000, -1)),
+    msgspec.msgpack.encode(good()) + b"\0",
+    *(
+        msgspec.msgpack.encode(good(**{name: value}))
+        for name, values in {
+            "frame_index": (None, "3", -1, []),
+            "stamp_ns": (None, -1, 2**31 * 10**9, float("nan")),
+            "stride": (None, 0, "2"),
+            "arrays": (None, [], {}),
+        }.items()
+        for value in values
+    ),
+    *(
+        msgspec.msgpack.encode(with_array(*change[:1], **{change[1]: change[2]}))
+        for change in [
+            *(
+                ("ids", "data", bytes(8)),
+                ("ids", "dtype", "<f8"),
+                ("ids", "dtype", "nonsense"),
+                ("ids", "shape", [3, 3]),
+            ),
+            *(("states", "data", None), ("stable", "shape", []), ("stable", "shape", [2**62]), ("ids", "shape", "9")),
+            ("observed_normalized", "shape", [9, 4]),
+        ]
+    ),
+]
+
+
+@pytest.mark.parametrize("data", NO_MESSAGES, ids=range(len(NO_MESSAGES)))
+def test_the_node_ends_with_a_sentence_for_what_is_no_message(node: dict[str, Any], data: bytes) -> None:
+    with pytest.raises(SystemExit) as ended:
+        node["frame_of"](data)
+    assert str(ended.value).startswith("this is no message of `frontend.run --publish`: ")
+    assert "\n" not in str(ended.value)
+
+
+def test_the_node_passes_over_what_later_programs_send(node: dict[str, Any]) -> None:
+    first, second, end = good(), good(frame_index=4, stamp_ns=9, colour="red"), good(type="end")
+    del first["stride"], end["arrays"]
+    messages = [good(type="status", arrays=3), first, good(type=2), second, {**good(type="poses"), "camera": None}, end]
+    sent = iter(map(msgspec.msgpack.encode, messages))
+    with zmq.Context() as context, context.socket(zmq.XPUB) as publisher:
+        port = publisher.bind_to_random_port("tcp://127.0.0.1")
+        thread = threading.Thread(target=lambda: publisher.recv() and [publisher.send(one) for one in sent])
+        thread.start()
+        frames = list(node["frames_from"](f"tcp://127.0.0.1:{port}"))
+        thread.join()
+    assert [(frame["frame_index"], frame["stride"]) for frame in frames] == [(3, 1), (4, 1)]
 
 
 def test_the_node_needs_nothing_that_humble_does_not_have() -> None:
