@@ -139,7 +139,9 @@ def _text_images(path: Path) -> Iterator[tuple[int, tuple[str, int]]]:
     lines = lines_of(path)
     for line in lines:
         if line.strip() and line.lstrip()[0] != "#":
-            image, *_, camera, name = line.split(maxsplit=9)
+            image, *pose, camera, name = line.split(maxsplit=9)
+            if len(pose) != 7:
+                raise ValueError(f"{line[:80].strip()!r} is no image")
             if len(next(lines, "").split()) % 3:
                 raise ValueError(f"the line after {name.strip()!r} is not its points")
             yield _number(int, image), (name.strip(), _number(int, camera))

@@ -70,8 +70,8 @@ class LimapTrackSink:
         overwrite: write into a folder that holds files; those of an earlier run are removed, others kept.
 
     Raises:
-        InputError: the folder holds files, or such as an earlier run would have, but of something else, or cannot be
-            written; a camera that changes.
+        InputError: the folder holds files, with `overwrite` images.csv, cameras.txt or metainfos.txt without the lines
+            of an earlier run; it cannot be written; a camera that changes.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:

@@ -248,6 +248,7 @@ def edited(folder: Path, name: str, old: str, new: str) -> Path:
         ("images.txt", "900 ", "\u0669 ", "is no number"),
         ("images.txt", "c/d.png", "b.png", "name 'b.png' is there twice"),
         ("images.txt", "b.png\n", "b.png", "is not its points"),
+        ("images.txt", " 9 b.png", "", "is no image"),
     ],
 )
 def test_models_that_make_no_sense(tmp_path: Path, name: str, old: str, new: str, complaint: str) -> None:
