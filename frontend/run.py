@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 from contextlib import ExitStack, closing
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,7 +60,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C, print and write the summary; returns the exit code."""
     video = wiring.video_to_log(options.input, config)
     track_files = wiring.track_files(options.out, overwrite=options.overwrite)
-    check_outputs(options, track_files)
+    check_outputs(options, chain(*track_files))
 
     with ExitStack() as stack:
         server = stack.enter_context(wiring.web_viewer()) if options.serve else None
@@ -140,7 +141,7 @@ def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> N
             taken[place] = "another output"
 
 
-def report(options: argparse.Namespace, summary: Summary, save: Path | None, track_files: list[Path]) -> None:
+def report(options: argparse.Namespace, summary: Summary, save: Path | None, track_files: list[list[Path]]) -> None:
     """Print the figures and what was written where; write the --summary."""
     from rich.console import Console
 
@@ -150,8 +151,8 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
             print("the built-in clip is rendered while it runs, which takes most of the time: videos are faster")
         if save is not None and save.exists():
             print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
-        for spec, path in zip(options.out, track_files, strict=True):
-            if path.exists():  # it may have been removed, or have been left unfinished
+        for spec, files in zip(options.out, track_files, strict=True):
+            if files[0].exists():  # it may have been removed, or have been left unfinished
                 print(f"wrote {spec}")
     if options.summary is not None:
         try:

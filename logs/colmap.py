@@ -11,21 +11,30 @@ import argparse
 import logging
 import struct
 import sys
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airline.command import Parser, exit_code
 from airline.errors import InputError
-from logs.sinks.limap import CAMERAS, IDS, SEGMENTS, LimapTrackSink, listed, neighbours_of
+from frontend.camera.model import LARGEST
+from logs.sinks.limap import CAMERAS, IDS, LARGEST_ID, SEGMENTS, LimapTrackSink, lines_of, listed, neighbours_of
 
 log = logging.getLogger(__name__)
 
 _PINHOLES = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}  # how many numbers; in binary files they are models 0 and 1
+_NUMBERS = (*_PINHOLES.values(), 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)  # of each model in binary files
+_LONGEST_NAME = 2**16
+Camera = tuple[str, Sequence[float]]  # model and numbers
 Pinhole = tuple[NDArray[np.float64], NDArray[np.float64]]  # (2,) focal lengths and principal point, px
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+Number = TypeVar("Number", int, float)
 
 
 def fit_to_model(folder: Path, model: Path, out: Path, overwrite: bool = False) -> tuple[int, int]:
@@ -42,14 +51,11 @@ def fit_to_model(folder: Path, model: Path, out: Path, overwrite: bool = False) 
             lens, for which LIMAP would undistort images in a way of its own.
     """
     neighbours = neighbours_of(folder)
-    if out.exists() and out.samefile(folder):
-        raise InputError(f"'{out}' is the folder that is read: choose another one")
     images = read_model(model)
-    try:
-        own = _camera_of((folder / CAMERAS).read_text("ascii"))[1] if (folder / CAMERAS).exists() else None
-        rows = {name: (number, stamp_ns) for number, stamp_ns, name in listed(folder) if name in images}
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read '{folder}': {error}") from error
+    if out.exists() and (out.samefile(folder) or out.samefile(model)):
+        raise InputError(f"'{out}' is the folder that is read: choose another one")
+    rows = {name: (number, stamp_ns) for number, stamp_ns, name in listed(folder) if name in images}
+    own = _own_camera(folder / CAMERAS)
     if not rows:
         raise InputError(
             f"no image of '{folder}' is in the model '{model}', which has {', '.join(map(repr, [*images][:2]))}: "
@@ -74,75 +80,131 @@ def read_model(model: Path) -> dict[str, tuple[int, Pinhole]]:
     """Id and camera of each image, by its name, from COLMAP's files, the binary ones if there are both.
 
     Raises:
-        InputError: they are not there or damaged, or a camera has a lens.
+        InputError: they are not there or damaged, have no image, or the camera of one has a lens.
     """
     try:
         if (model / "images.bin").exists():
-            images = _binary_images((model / "images.bin").read_bytes())
-            cameras = _binary_cameras((model / "cameras.bin").read_bytes())
+            images = _unique("image id", _binary_images(model / "images.bin"))
+            cameras = _unique("camera", _binary_cameras(model / "cameras.bin"))
         else:
-            images = _text_images((model / "images.txt").read_text("utf-8", "surrogateescape"))
-            rows = (model / "cameras.txt").read_text("utf-8").splitlines()
-            cameras = dict(map(_camera_of, (row for row in rows if row.strip() and row[0] != "#")))
-        return {name: (image, cameras[camera]) for image, camera, name in images}
-    except (OSError, ValueError, KeyError, OverflowError, struct.error) as error:
+            images = _unique("image id", _text_images(model / "images.txt"))
+            cameras = _unique("camera", _text_cameras(model / "cameras.txt"))
+        if not images:
+            raise ValueError("it has no images")
+        for image, (name, camera) in images.items():
+            if not 0 < image <= LARGEST_ID:
+                raise ValueError(f"{name!r} has the id {image}, and ids go from 1 to {LARGEST_ID}")
+            if camera not in cameras:
+                raise ValueError(f"{name!r} has camera {camera}, which is not there")
+        return _unique("name", ((name, (k, _pinhole(*cameras[camera]))) for k, (name, camera) in images.items()))
+    except (OSError, ValueError, OverflowError, struct.error) as error:
         raise InputError(f"cannot read a COLMAP model from '{model}': {error}") from error
 
 
-def _pinhole(kind: str, numbers: list[float]) -> Pinhole:
+def _unique(what: str, pairs: Iterable[tuple[Key, Value]]) -> dict[Key, Value]:
+    found: dict[Key, Value] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the {what} {key!r} is there twice")
+        found[key] = value
+    return found
+
+
+def _pinhole(kind: str, numbers: Sequence[float]) -> Pinhole:
     if kind not in _PINHOLES:
         raise InputError(f"the model's camera ({kind}) has a lens: give the model that colmap image_undistorter writes")
     if len(numbers) != _PINHOLES[kind]:
         raise ValueError(f"a {kind} camera with {len(numbers)} numbers")
+    if not all(abs(number) <= LARGEST for number in numbers) or min(numbers[:-2]) <= 0:
+        raise ValueError(f"no camera has the numbers {' '.join(map(str, numbers))}")
     return np.array(numbers[:-2]), np.array(numbers[-2:])
 
 
-def _camera_of(row: str) -> tuple[int, Pinhole]:
-    """Of a line "id model width height numbers"."""
-    camera, kind, _, _, *numbers = row.split()
-    return int(camera), _pinhole(kind, list(map(float, numbers)))
+def _number(kind: type[Number], text: str) -> Number:
+    """Of the text of a number; Python would read "1_0", too."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"{text!r} is no number")
+    return kind(text)
 
 
-def _text_images(text: str) -> Iterator[tuple[int, int, str]]:
-    lines = iter(text.split("\n"))
+def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+    """Of lines "id model width height numbers"."""
+    for line in lines_of(path):
+        if line.strip() and line.lstrip()[0] != "#":
+            camera, kind, _, _, *numbers = line.split()
+            yield _number(int, camera), (kind, [_number(float, number) for number in numbers])
+
+
+def _text_images(path: Path) -> Iterator[tuple[int, tuple[str, int]]]:
+    lines = lines_of(path)
     for line in lines:
-        if line.strip() and not line.startswith("#"):
-            image, *_, camera, name = line.split(maxsplit=9)
-            yield int(image), int(camera), name.strip()
-            next(lines, None)  # its points, of which there may be none
+        if line.strip() and line.lstrip()[0] != "#":
+            image, *pose, camera, name = line.split(maxsplit=9)
+            if len(pose) != 7:
+                raise ValueError(f"{line[:80].strip()!r} is no image")
+            if len(next(lines, "").split()) % 3:
+                raise ValueError(f"the line after {name.strip()!r} is not its points")
+            yield _number(int, image), (name.strip(), _number(int, camera))
 
 
-def _binary_cameras(data: bytes) -> dict[int, Pinhole]:
-    at, cameras = 8, {}
-    (count,) = struct.unpack_from("<Q", data)
-    for _ in range(count):
-        camera, number = struct.unpack_from("<Ii", data, at)
-        kind = dict(enumerate(_PINHOLES)).get(number, f"model {number}")
-        numbers = struct.unpack_from(f"<{_PINHOLES.get(kind, 0)}d", data, at + 24)
-        cameras[camera] = _pinhole(kind, [*numbers])
-        at += 24 + 8 * len(numbers)
-    return cameras
+@contextmanager
+def _binary(path: Path) -> Iterator[tuple[mmap, int]]:
+    """What COLMAP wrote, in place of a copy in memory, and how many things the file says that it holds."""
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        yield data, struct.unpack_from("<Q", data)[0]
 
 
-def _binary_images(data: bytes) -> Iterator[tuple[int, int, str]]:
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     at = 8
-    (count,) = struct.unpack_from("<Q", data)
-    for _ in range(count):
-        image, *_, camera = struct.unpack_from("<I7dI", data, at)
-        end = data.index(b"\0", at + 64)
-        yield image, camera, data[at + 64 : end].decode("utf-8", "surrogateescape")
-        (points,) = struct.unpack_from("<Q", data, end + 1)
-        at = end + 9 + 24 * points
+    with _binary(path) as (data, count):
+        for _ in range(count):
+            camera, model = struct.unpack_from("<Ii", data, at)
+            if not 0 <= model < len(_NUMBERS):
+                raise ValueError(f"camera {camera} has the unknown model {model}")
+            kind = dict(enumerate(_PINHOLES)).get(model, f"model {model}")
+            yield camera, (kind, struct.unpack_from(f"<{_NUMBERS[model]}d", data, at + 24))
+            at += 24 + 8 * _NUMBERS[model]
+        _check_end(path, data, at)
+
+
+def _binary_images(path: Path) -> Iterator[tuple[int, tuple[str, int]]]:
+    at = 8
+    with _binary(path) as (data, count):
+        for _ in range(count):
+            image, *_, camera = struct.unpack_from("<I7dI", data, at)
+            end = data.find(b"\0", at + 64, at + 64 + _LONGEST_NAME)
+            if end < 0:
+                raise ValueError(f"the name of image {image} has no end")
+            yield image, (data[at + 64 : end].decode("utf-8", "surrogateescape"), camera)
+            (points,) = struct.unpack_from("<Q", data, end + 1)
+            at = end + 9 + 24 * points
+        _check_end(path, data, at)
+
+
+def _check_end(path: Path, data: mmap, at: int) -> None:
+    if at != len(data):
+        raise ValueError(f"{path.name} has {len(data)} bytes, and what it says that it holds {at}")
+
+
+def _own_camera(path: Path) -> Pinhole | None:
+    """Of a folder of ours, which may have none."""
+    if not path.exists():
+        return None
+    try:
+        ((_, camera),) = _text_cameras(path)
+        return _pinhole(*camera)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read '{path}': {error}") from error
 
 
 def _lines_of(folder: Path, number: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """(K, 4) px and (K,) track ids."""
     path = folder / SEGMENTS / f"segments_{number}.txt"
     try:
-        _, *numbers = path.read_text("ascii").split()
-        ids = np.array((folder / IDS / f"track_ids_{number}.txt").read_text("ascii").split(), np.int64)
+        _, *numbers = "".join(lines_of(path)).split()
+        ids = np.array("".join(lines_of(folder / IDS / f"track_ids_{number}.txt")).split(), np.int64)
         return np.array(numbers, np.float64).reshape(len(ids), 4), ids
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, OverflowError) as error:
         raise InputError(f"cannot read '{path}' and its track ids: {error}") from error
 
 

@@ -18,6 +18,11 @@ from logs.files.mcap_file import McapFile
 from logs.files.mcap_records import CHUNK_LIMIT, UNREADABLE
 from logs.sinks.output import check_new, whole_file
 
+_NO_REPAIR = {
+    ".bag": "'{0}' is a ROS 1 bag: mend it with rosbag reindex {0}",
+    ".csv": "'{0}' needs no repair: what a CSV file has can be read as it is",
+}
+
 
 def run(options: argparse.Namespace) -> None:
     """Repair, and print what there is now; raises AirLineError."""
@@ -31,6 +36,8 @@ def run(options: argparse.Namespace) -> None:
         from logs.sinks.tables import finish_journal
 
         return print(f"{out}: finished, {finish_journal(path, out, options.overwrite)} rows")
+    if path.is_file() and path.suffix.lower() in _NO_REPAIR:
+        raise InputError(_NO_REPAIR[path.suffix.lower()].format(path))
     with closing(McapFile(path)) as log, errors_of(out), path.open("rb") as source:
         if not log.topics:
             raise InputError(f"'{path}' has not one readable message, so there is nothing to repair")

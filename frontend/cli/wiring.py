@@ -90,13 +90,13 @@ def list_topics(spec: str | None) -> str:
         return as_text(rows)
 
 
-def track_files(specs: list[str], *, overwrite: bool) -> list[Path]:
-    """Where outputs for tracked lines go; raises InputError for one that cannot be made."""
-    from logs.sinks.open import check, kind_and_path
+def track_files(specs: list[str], *, overwrite: bool) -> list[list[Path]]:
+    """The files of each output for tracked lines, its own first; raises InputError for one that cannot be made."""
+    from logs.sinks.open import check, files_of
 
     for spec in specs:
         check(spec, overwrite=overwrite)
-    return [kind_and_path(spec)[1] for spec in specs]
+    return [files_of(spec) for spec in specs]
 
 
 def open_track_sink(

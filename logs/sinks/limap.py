@@ -8,11 +8,12 @@ own files, named after the detector, extractor and matcher of its configuration;
 from __future__ import annotations
 
 import csv
-import io
 import logging
 import os
 import pickle
+import re
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,23 +23,23 @@ from airline.errors import ConfigError, InputError, errors_of
 from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
-from logs.sinks.output import OutputFile, check_folder, whole_file
+from logs.sinks.output import LIMAP_FILES, OutputFile, check_folder, whole_file
 
 log = logging.getLogger(__name__)
 
 SEGMENTS, MATCHES, IDS = "line_detections/lsd/segments", "line_matchings/lsd/feats_lbd", "track_ids"
-IMAGES, CAMERAS, NEIGHBOURS = "images.csv", "cameras.txt", "metainfos.txt"
+IMAGES, CAMERAS, NEIGHBOURS = LIMAP_FILES
+LARGEST_ID = 2**31 - 1
 
 _FILES = (
-    IMAGES,
-    CAMERAS,
-    NEIGHBOURS,
+    *LIMAP_FILES,
     f"{SEGMENTS}/segments_*.txt",
     f"{IDS}/track_ids_*.txt",
     f"{MATCHES}/lbd_n*_top0/matches_*.npy",
 )
 _CORNER = 0.5
-_LARGEST_ID = 2**31 - 1
+_LONGEST_LINE = 2**26
+_ROW = re.compile(r"[1-9]\d*,-?\d*,.*", re.ASCII | re.DOTALL)
 
 
 class LimapTrackSink:
@@ -66,10 +67,11 @@ class LimapTrackSink:
     Args:
         folder: made if it does not exist.
         neighbours: of each image, an even number, half before and half after it; LIMAP's `n_neighbors`.
-        overwrite: write into a folder that holds files; those of an earlier run are removed.
+        overwrite: write into a folder that holds files; those of an earlier run are removed, others kept.
 
     Raises:
-        InputError: the folder holds files, or cannot be written; a camera that changes, comes or goes.
+        InputError: the folder holds files, with `overwrite` images.csv, cameras.txt or metainfos.txt without the lines
+            of an earlier run; it cannot be written; a camera that changes, comes or goes.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, neighbours: int = 20, overwrite: bool = False) -> None:
@@ -97,7 +99,7 @@ class LimapTrackSink:
     def write(self, result: FrameResult) -> None:
         """Add one frame."""
         tracks = result.tracks
-        if not self._last < tracks.frame_index < _LARGEST_ID:
+        if not self._last < tracks.frame_index < LARGEST_ID:
             raise InputError(f"cannot write '{self._folder}': frame {tracks.frame_index} follows frame {self._last}")
         name = result.frame.name or f"{tracks.frame_index:06d}.png"
         if self._in_order and name < self._last_name:
@@ -119,9 +121,8 @@ class LimapTrackSink:
             with whole_file(self._segments / f"segments_{image}.txt", part) as lines:
                 lines.write(text.encode("ascii"))
             (self._ids / f"track_ids_{image}.txt").write_text("".join(f"{one}\n" for one in ids.tolist()), "ascii")
-            row = io.StringIO()
-            csv.writer(row, lineterminator="\n").writerow((image, stamp_ns, name))
-            file.write(row.getvalue().encode("utf-8", "surrogateescape"))
+            quoted = name.replace('"', '""')
+            file.write(f'{image},{stamp_ns},"{quoted}"\n'.encode("utf-8", "surrogateescape"))
             file.flush()
 
     def close(self) -> None:
@@ -202,6 +203,22 @@ def neighbours_of(folder: Path) -> int:
 
 
 def listed(folder: Path) -> list[list[str]]:
-    """Image id, stamp and name of the images that are complete."""
-    with (folder / IMAGES).open(encoding="utf-8", errors="surrogateescape", newline="") as file:
-        return list(csv.reader(file))[1:]
+    """Image id, stamp and name of the images that are complete; raises InputError."""
+    path = folder / IMAGES
+    try:
+        rows = list(csv.reader(lines_of(path), strict=True))[1:]
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"cannot read '{path}': {error}") from error
+    for number, row in enumerate(rows, 2):
+        if len(row) != 3 or not _ROW.fullmatch(",".join(row)):
+            raise InputError(f"cannot read '{path}': row {number} is no image's id, stamp and name; mend or remove it")
+    return rows
+
+
+def lines_of(path: Path) -> Iterator[str]:
+    """The lines of a text file; raises OSError, and ValueError before one fills the memory."""
+    with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
+        while line := file.readline(_LONGEST_LINE):
+            if len(line) == _LONGEST_LINE:
+                raise ValueError(f"{path.name} has a line of {_LONGEST_LINE} characters and more")
+            yield line

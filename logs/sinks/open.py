@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from airline.errors import ConfigError, InputError
-from logs.sinks.output import check_folder, check_new, check_table
+from logs.sinks.output import check_csv, check_folder, check_new, check_table, frames_table_of, journal_of
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 KINDS = {  # what to give, the module and class that write it, and what refuses a place
     "mcap": ("NAME.mcap (for Foxglove)", "foxglove", "McapTrackSink", check_new),
     "parquet": ("NAME.parquet", "tables", "ParquetTrackSink", check_table),
-    "csv": ("NAME.csv", "tables", "CsvTrackSink", check_new),
+    "csv": ("NAME.csv", "tables", "CsvTrackSink", check_csv),
     "bag": ("NAME.bag (for PL-VINS, in ROS 1)", "plvins", "PlVinsBagSink", check_new),
     "plvins": ("plvins.mcap or plvins:NAME.mcap (the same in MCAP)", "plvins", "PlVinsTrackSink", check_new),
     "limap": ("limap/ or limap:FOLDER (for LIMAP)", "limap", "LimapTrackSink", check_folder),
@@ -51,6 +51,13 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
     if kind in KINDS.keys() - {"plvins", "limap"}:
         return kind, path
     raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
+
+
+def files_of(spec: str) -> list[Path]:
+    """What an output writes: the file or folder that it is named after, and what lies beside it."""
+    kind, path = kind_and_path(spec)
+    beside = {"csv": frames_table_of, "parquet": journal_of}
+    return [path, beside[kind](path)] if kind in beside else [path]
 
 
 def check(spec: str, overwrite: bool = False) -> None:

@@ -14,6 +14,7 @@ from mcap.writer import Writer
 
 from airline.errors import InputError, errors_of
 
+LIMAP_FILES = ("images.csv", "cameras.txt", "metainfos.txt")  # at the top of a LIMAP folder
 FLUSH_S = 1.0  # at most so much of the stream is lost when the process is killed
 
 
@@ -43,11 +44,26 @@ def check_table(path: Path, overwrite: bool) -> None:
         )
 
 
+def frames_table_of(path: Path) -> Path:
+    """Where the list of frames of a CSV file lies."""
+    return path.with_name((path.stem if path.suffix.lower() == ".csv" else path.name) + ".frames.csv")
+
+
+def check_csv(path: Path, overwrite: bool) -> None:
+    """The same for a CSV file, and the list of its frames."""
+    for new in (path, frames_table_of(path)):
+        check_new(new, overwrite)
+
+
 def check_folder(folder: Path, overwrite: bool) -> None:
-    """The same for a folder, which may be there if it is empty."""
+    """The same for LIMAP's folder, which may be there if it is empty; files that are not of such a run are kept."""
     if folder.is_dir():
-        if any(folder.iterdir()) and not overwrite:
+        names = {path.name for path in folder.iterdir()}
+        if names and not overwrite:
             raise InputError(f"'{folder}' holds files: choose an empty folder or give --overwrite")
+        if "line_detections" not in names:
+            for name in names.intersection(LIMAP_FILES):
+                raise InputError(f"'{folder}' holds a {name} that is of something else: choose another folder")
     elif folder.exists() or not os.path.isdir(folder.parent):  # noqa: PTH112
         raise InputError(f"cannot make the folder '{folder}': give a name in a folder that exists")
 

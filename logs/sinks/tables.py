@@ -21,7 +21,7 @@ from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.read import read_journal
-from logs.sinks.output import OutputFile, check_new, check_table, journal_of, whole_file
+from logs.sinks.output import OutputFile, check_csv, check_new, check_table, frames_table_of, journal_of, whole_file
 from logs.tracks.json import Camera
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
 
@@ -146,11 +146,9 @@ class CsvTrackSink:
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         path = Path(path)
-        table = path.with_suffix(".frames.csv")
-        for new in (path, table):
-            check_new(new, overwrite)
+        check_csv(path, overwrite)
         self._output = OutputFile(path, overwrite)
-        self._table = OutputFile(table, overwrite) if path.is_file() else None
+        self._table = OutputFile(frames_table_of(path), overwrite) if path.is_file() else None
         self._frames: list[LineTracks] = []
         self._descriptor_length: int | None = None
         self._header_written = False

@@ -143,3 +143,19 @@ def test_outputs_that_cannot_be(desk: Path, name: str) -> None:
         assert ("it is the input" in refusal("drive.mcap", "--headless", *flags)) == ("--overwrite" in flags)
     assert log.read_bytes() == content
     assert "a.csv" in refusal("drive.mcap", "--headless", "--out", "a.csv", "--out", "./a.csv")
+
+
+@pytest.mark.parametrize("names", [("u.csv", "u.frames.csv"), ("u.parquet", "csv:u.parquet.unfinished")])
+def test_two_outputs_of_one_file(desk: Path, names: tuple[str, str]) -> None:
+    log, (first, second) = small_log(desk / "drive.mcap", "/cam/image"), names
+    for one, other in ((first, second), (second, first)):
+        error = refusal(log.name, "--headless", "--out", one, "--out", other, "--overwrite")
+        assert "another output" in error
+    assert [path.name for path in desk.iterdir()] == [log.name]
+
+
+def test_a_list_of_frames_that_is_there_is_found_first(desk: Path) -> None:
+    small_log(desk / "drive.mcap", "/cam/image")
+    (desk / "tracks.frames.csv").write_text("mine")
+    assert "exists" in refusal("drive.mcap", "--headless", "--out", "a.parquet", "--out", "tracks.csv")
+    assert {path.name for path in desk.iterdir()} == {"drive.mcap", "tracks.frames.csv"}

@@ -6,6 +6,7 @@ pycolmap runs in processes of its own: it and OpenCV bring copies of one library
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from hypothesis import strategies as st
 from airline.errors import InputError
 from airline.scenes import RenderedClip
 from frontend.sources.folder import FolderSource
+from logs import colmap
 from logs.colmap import main, read_model
 from logs.sinks.limap import LimapTrackSink
 from tests.helpers.made_tracks import CAMERA, clip_results, made_tracks, result_of, write_all, write_tracks
@@ -133,9 +135,9 @@ def test_images_of_the_model_that_have_no_lines_have_files(tmp_path: Path) -> No
     assert {k: len(one) for k, one in read_segments(tmp_path / "out").items()} == {8: 5, 5: 5, 2: 0}
     assert {k: len(v) for k, v in read_matches(tmp_path / "out", 8, 4).items()} == {5: 5, 2: 0}
     assert (tmp_path / "out/images.csv").read_text().splitlines()[1:] == [
-        "8,1,000001.png",
-        "5,3,000003.png",
-        "2,,other.png",
+        '8,1,"000001.png"',
+        '5,3,"000003.png"',
+        '2,,"other.png"',
     ]
     np.testing.assert_array_equal(read_segments(tmp_path / "out")[8], read_segments(tmp_path / "limap")[2])
 
@@ -196,13 +198,139 @@ def test_what_does_not_belong_together_is_refused(clip, tmp_path: Path, capsys) 
         (folder, others, "out", "which has 'cam0/000000.png': images.csv must have the same names"),
         (folder, tmp_path, "out", "cannot read a COLMAP model"),
         (tmp_path, model, "out", "is no folder of tracks for LIMAP"),
-        (tmp_path / "older", model, "out", "not enough values"),
+        (tmp_path / "older", model, "out", "row 2 is no image's id, stamp and name"),
         (folder, model, folder, "is the folder that is read"),
+        (folder, model, model, "is the folder that is read"),
         (folder, model, tmp_path / "others", "holds files"),
     ):
         assert main([str(path), str(other), "--out", str(tmp_path / out)]) == 2
         assert complaint in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_model_given_as_the_output_is_kept(clip, tmp_path: Path, capsys) -> None:
+    folder, _ = clip
+    model = write_model(tmp_path / "model", PINHOLE, {1: "000000.png"})
+    other = write_model(tmp_path / "other", PINHOLE, {1: "000000.png"})
+    before = (model / "cameras.txt").read_bytes()
+    for out in (model, other):
+        assert main([str(folder), str(model), "--out", str(out), "--overwrite"]) == 2
+        assert "choose another" in capsys.readouterr().err
+        assert (out / "cameras.txt").read_bytes() == before
+        assert not (out / "line_detections").exists()
+
+
+TWO = {3: "b.png", 900: "c/d.png"}
+
+
+def edited(folder: Path, name: str, old: str, new: str) -> Path:
+    """A text model with one thing changed."""
+    model = write_model(folder, PINHOLE, TWO)
+    text = (model / name).read_text()
+    assert old in text
+    (model / name).write_text(text.replace(old, new))
+    return model
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "complaint"),
+    [
+        *(("cameras.txt", "301.5", word, "no camera has the numbers") for word in ("nan", "inf", "0", "-3", "1e300")),
+        ("cameras.txt", "251.0", "-2e9", "no camera has the numbers"),
+        ("cameras.txt", "251.0", "2_5", "'2_5' is no number"),
+        ("cameras.txt", PINHOLE, f"{PINHOLE}\n{PINHOLE}", "camera 9 is there twice"),
+        ("cameras.txt", "9 PIN", "8 PIN", "has camera 9, which is not there"),
+        ("images.txt", "900 ", "3 ", "image id 3 is there twice"),
+        ("images.txt", "900 ", "0 ", "has the id 0"),
+        ("images.txt", "900 ", "-5 ", "has the id -5"),
+        ("images.txt", "900 ", "2147483648 ", "has the id 2147483648"),
+        ("images.txt", "900 ", "9_00 ", "'9_00' is no number"),
+        ("images.txt", "900 ", "\u0669 ", "is no number"),
+        ("images.txt", "c/d.png", "b.png", "name 'b.png' is there twice"),
+        ("images.txt", "b.png\n", "b.png", "is not its points"),
+        ("images.txt", " 9 b.png", "", "is no image"),
+    ],
+)
+def test_models_that_make_no_sense(tmp_path: Path, name: str, old: str, new: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        read_model(edited(tmp_path / "model", name, old, new))
+
+
+def test_a_model_without_images(tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model", PINHOLE, {})
+    for one in (model, to_binary(model, tmp_path / "binary")):
+        with pytest.raises(InputError, match="it has no images"):
+            read_model(one)
+
+
+def test_comments_are_indented_and_cameras_without_images_have_lenses(tmp_path: Path) -> None:
+    sound = read_model(write_model(tmp_path / "sound", PINHOLE, TWO))
+    lenses = "\n".join(
+        ("  # lenses", "1 OPENCV 9 9 1 1 1 1 0 0 0 0", "2 SIMPLE_RADIAL 9 9 1 1 1 0", "10 FOV 9 9 1 1 1 1 0")
+    )
+    model = edited(tmp_path / "model", "cameras.txt", "# cameras", lenses)
+    (model / "images.txt").write_text(f"  # images\n{(model / 'images.txt').read_text()}")
+    for one in (model, to_binary(model, tmp_path / "binary")):
+        for name, (image, (focal, centre)) in read_model(one).items():
+            assert image == sound[name][0]
+            np.testing.assert_array_equal((focal, centre), sound[name][1])
+
+
+LENSES = """
+model = pycolmap.Reconstruction()
+names = [name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"]
+for k, name in enumerate(names, 1):
+    model.add_camera(pycolmap.Camera.create_from_model_name(k, name, 9.0, 9, 9))
+model.write_binary(sys.argv[1])
+print(json.dumps(names))
+"""
+
+
+def test_every_model_of_colmaps_cameras_has_its_length(tmp_path: Path) -> None:
+    names = json.loads(pycolmap(LENSES, tmp_path))
+    assert [k for k, _ in colmap._binary_cameras(tmp_path / "cameras.bin")] == [*range(1, len(names) + 1)]
+
+
+@pytest.mark.parametrize("name", ["images.bin", "cameras.bin"])
+def test_a_binary_file_ends_where_it_says(tmp_path: Path, name: str) -> None:
+    model = to_binary(write_model(tmp_path / "text", PINHOLE, TWO), tmp_path / "binary")
+    whole = (model / name).read_bytes()
+    if name == "images.bin":  # points of the last image, the first of which are cut off
+        (model / name).write_bytes(whole[:-8] + (3).to_bytes(8, "little") + bytes(48))
+        with pytest.raises(InputError, match="what it says that it holds"):
+            read_model(model)
+    (model / name).write_bytes(whole + b"\0")
+    with pytest.raises(InputError, match="what it says that it holds"):
+        read_model(model)
+
+
+SMALL = """
+import resource, sys
+from pathlib import Path
+from airline.errors import InputError
+from logs.colmap import fit_to_model
+resource.setrlimit(resource.RLIMIT_DATA, (2 * 2**30,) * 2)
+try:
+    fit_to_model(*map(Path, sys.argv[1:]))
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("name", ["images.bin", "cameras.bin", "images.txt", "cameras.txt", "images.csv"])
+@pytest.mark.parametrize("keeps", [True, False])
+def test_huge_files_fill_no_memory(clip, tmp_path: Path, name: str, keeps: bool) -> None:
+    model = write_model(tmp_path / "text", PINHOLE, TWO)
+    model = to_binary(model, tmp_path / "binary") if name.endswith("bin") else model
+    folder = shutil.copytree(clip[0], tmp_path / "limap") if name == "images.csv" else clip[0]
+    path = (folder if name == "images.csv" else model) / name
+    with path.open("r+b" if keeps else "wb") as file:
+        file.truncate(30 * 10**9)  # takes no room on the disk
+    command = [sys.executable, "-c", SMALL, str(folder), str(model), str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("cannot read")
+    assert done.stdout.count("\n") == 1
 
 
 def samples(folder: Path) -> Callable[[str], bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import cv2
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
+from logs.colmap import main as colmap_main
 from logs.repair import main
-from logs.sinks.limap import LimapTrackSink
+from logs.sinks.limap import LimapTrackSink, listed
+from logs.sinks.open import check, open_track_sink
+from tests.helpers.command import refusal
 from tests.helpers.made_tracks import CAMERA, clip_results, made_tracks, result_of, write_all
 
 SEGMENTS = "line_detections/lsd/segments"
@@ -133,6 +137,59 @@ def test_files_of_an_earlier_run_go_and_others_stay(tmp_path):
     assert read_segments(tmp_path / "limap").keys() == {1, 2}
     assert set(read_neighbours(tmp_path / "limap")) == {1, 2}
     assert (tmp_path / "limap/notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["cameras.txt", "images.csv", "metainfos.txt"])
+def test_files_of_somebody_else_under_our_names_stay(tmp_path, name):
+    (tmp_path / name).write_text("theirs")
+    for refused in (check, open_track_sink):
+        with pytest.raises(InputError, match=f"holds a {name} that is of something else"):
+            refused(f"limap:{tmp_path}", overwrite=True)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "theirs")]
+
+
+ODD_NAMES = [" e .png", "a\rb.png", 'b,"c\nd.png', "f\udcff.png", '"', "\r\n", "'", "\u2028\x1c.png"]
+
+
+def test_any_name_is_read_back(tmp_path):
+    sink = LimapTrackSink(tmp_path / "limap", neighbours=4)
+    for k, name in enumerate(ODD_NAMES):
+        sink.add(k + 1, name, k, np.zeros((0, 4)), np.zeros(0, np.int64))
+    sink.close()
+    with (tmp_path / "limap/images.csv").open(encoding="utf-8", errors="surrogateescape", newline="") as file:
+        assert list(csv.reader(file))[1:] == [[f"{k + 1}", f"{k}", name] for k, name in enumerate(ODD_NAMES)]
+    assert [name for *_, name in listed(tmp_path / "limap")] == ODD_NAMES
+    assert read_neighbours(tmp_path / "limap").keys() == set(range(1, len(ODD_NAMES) + 1))
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "",
+        "4",
+        "4,5",
+        "4,5,a,b",
+        "x,5,a",
+        "../4,5,a",
+        "0,5,a",
+        "4,x,a",
+        '4,5,"a',
+        '4,5,"a"b',
+        "4,5,a\rb",
+        "4,5," + 140_000 * "a",
+    ],
+)
+def test_a_damaged_list_of_images_is_one_sentence(tmp_path, row):
+    folder = write(tmp_path / "limap", [made_tracks(0, 0, np.arange(3), np.random.default_rng(0))])
+    with (folder / "images.csv").open("ab") as file:
+        file.write(f"{row}\n".encode())
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 000000.png\n\n")
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 9 9 1 1 1 1\n")
+    for error in (
+        refusal(folder, main=main),
+        refusal(folder, tmp_path, "--out", tmp_path / "out", main=colmap_main),
+    ):
+        assert "images.csv': " in error
 
 
 @pytest.mark.parametrize(

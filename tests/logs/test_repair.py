@@ -56,6 +56,12 @@ def repair(path: Path) -> list[Sent]:
     return [Sent(ids[schema], m.log_time, m.publish_time, m.sequence, m.data) for _, _, schema, m in found]
 
 
+def test_what_is_not_repaired_here_is_said(tmp_path: Path) -> None:
+    for name, hint in (("lines.bag", "rosbag reindex"), ("Tracks.CSV", "needs no repair")):
+        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
+        assert hint in refusal(tmp_path / name, main=main)
+
+
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"repeat_channels": False}], ids=str)
 def test_everything_is_kept(tmp_path: Path, options: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     path = write_all(tmp_path / "a.mcap", **options)

@@ -15,6 +15,7 @@ import pytest
 from airline.errors import InputError
 from frontend.tracks import DERIVED
 from logs.read import read_tracks
+from logs.sinks.open import check
 from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
 from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
 from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, write_all
@@ -113,11 +114,18 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
 
 def test_csv_lists_frames_where_it_can(tmp_path):
     (tmp_path / "t.frames.csv").write_text("mine")
-    with pytest.raises(InputError, match=r"t\.frames\.csv' exists"):
-        CsvTrackSink(tmp_path / "t.csv")
+    for refused in (CsvTrackSink, lambda path: check(str(path))):
+        with pytest.raises(InputError, match=r"t\.frames\.csv' exists"):
+            refused(tmp_path / "t.csv")
     assert [path.name for path in tmp_path.iterdir()] == ["t.frames.csv"]
     write_all(CsvTrackSink("/dev/null", overwrite=True), [])
     assert not Path("/dev/null.frames.csv").exists()
+
+
+def test_only_csv_is_taken_off_the_name_of_the_list(tmp_path):
+    for name in ("run.1", "run.2", "run.3.csv", "run.4.CSV"):
+        write_all(CsvTrackSink(tmp_path / name), [])
+    assert {path.name for path in tmp_path.glob("*frames*")} == {f"run.{k}.frames.csv" for k in (1, 2, 3, 4)}
 
 
 def test_csv_without_rows_has_a_header(tmp_path):
