@@ -18,7 +18,7 @@ from frontend.tracking.correction import corrected
 from frontend.tracking.extents import MIN_EDGE
 from frontend.tracking.flow import WorkingImage, working_image
 from frontend.tracking.guided import look_for
-from frontend.tracking.measurement import with_bias
+from frontend.tracking.measurement import with_bias, with_rest
 from frontend.tracking.overlap import absorbed, covered, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair
 from frontend.tracking.prediction import camera_of, focal_of, predicted
@@ -177,7 +177,9 @@ class LineTracker:
             ids=here.ids,
             segments_px=here.segments,
             observed_px=seen.along(rows, here.segments).segments,
-            covariances=with_bias(line_part(here.segments, here.covariances), here.across),
+            covariances=with_bias(
+                with_rest(line_part(here.segments, here.covariances), seen.errors[rows], here.across), here.across
+            ),
             observed_covariances=with_bias(seen.errors[rows], here.across),
             scores=seen.scores[rows],
             descriptors=here.descriptors,

@@ -121,6 +121,16 @@ def test_a_line_that_jumps_onto_its_neighbour_is_another(edges):
     assert tracks.consistency.max() < 1.2
 
 
+def test_a_resting_line_is_not_surer_than_its_pixels_allow():
+    tracker = LineTracker()
+    for index in range(40):
+        tracks = step(tracker, index, LINES, LINES, LINES)
+    for row in range(2):
+        variance, seen = tracks.covariances[:, row, row], tracks.observed_covariances[:, row, row]
+        assert (variance >= 0.5 * seen).all()
+        assert (variance < seen).all()
+
+
 def test_an_image_that_moves_as_a_whole_takes_its_lines_along():
     tracker = begin(6)
     image = np.ascontiguousarray(np.roll(drawn(6, LINES).image, -4, axis=0))
