@@ -96,8 +96,8 @@ class LineFrontend:
     Example:
         >>> from frontend import LineFrontend
         >>> for tracks in LineFrontend().stream("video.mp4"):  # doctest: +SKIP
-        ...     good = tracks.take(tracks.stable)
-        ...     backend.add_lines(good.stamp_ns, good.ids, good.observed_px, good.observed_covariances)
+        ...     for seen in (*tracks.history, tracks.take(tracks.confirmed)):
+        ...         backend.add_lines(seen.stamp_ns, seen.ids, seen.observed_px, seen.observed_covariances)
     """
 
     def __init__(self, detector: AirLine | None = None, tracker: LineTracker | None = None) -> None:

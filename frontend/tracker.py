@@ -169,6 +169,8 @@ class LineTracker:
         confirmed = tracks.hits >= self.config.confirm_hits
         lost = (line_of < 0) & confirmed
         here, rows = tracks.take(line_of >= 0), line_of[line_of >= 0]
+        errors = seen.errors[rows]
+        fused = with_rest(line_part(here.segments, here.covariances), errors, here.across)
         certain, consistency = confirmed[line_of >= 0], np.sqrt(here.surprise)
         length = np.linalg.norm(here.segments[:, 1] - here.segments[:, 0], axis=1)
         return LineTracks(
@@ -177,10 +179,8 @@ class LineTracker:
             ids=here.ids,
             segments_px=here.segments,
             observed_px=seen.along(rows, here.segments).segments,
-            covariances=with_bias(
-                with_rest(line_part(here.segments, here.covariances), seen.errors[rows], here.across), here.across
-            ),
-            observed_covariances=with_bias(seen.errors[rows], here.across),
+            covariances=with_bias(fused, here.across),
+            observed_covariances=with_bias(errors, here.across),
             scores=seen.scores[rows],
             descriptors=here.descriptors,
             states=np.where(certain, TrackState.CONFIRMED, TrackState.TENTATIVE).astype(np.uint8),
