@@ -13,7 +13,7 @@ FLOOR = 0.03  # px, standard deviation of an offset that no length takes away
 BIAS = 0.12  # px, standard deviation of an offset that stays over the frames, as measured on rendered clips
 BLUR = 0.02  # px of bias per px of motion across a line from frame to frame
 RESTING = 0.1  # px of motion across itself from frame to frame, below which a line rests,
-SAME = 0.5  # and this share of its error's variance comes back in every frame: the pixels are the same
+SAME = 0.5  # and this share of its angle's variance comes back in every frame: the pixels are the same
 MEASURED = 0.25  # px, standard deviation of a line measured on the edge map beyond that
 DEFAULT_RESIDUAL = 0.5  # px, of detectors that do not report theirs
 
@@ -58,11 +58,15 @@ def with_bias(covariances: NDArray[np.float32], across: NDArray[np.float32]) -> 
 def with_rest(
     covariances: NDArray[np.float32], errors: NDArray[np.float32], across: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """(N, 2, 2) covariances of fused lines with what averaging did not take away, since the lines rest.
+    """(N, 2, 2) covariances of fused lines with the angle's errors that averaging did not take away, since they rest.
+
+    What stays of an offset's errors is the bias.
 
     Args:
         covariances: (N, 2, 2) float32, as of independent errors.
         errors: (N, 2, 2) float32 covariances of the last measurements.
         across: (N,) float32 px that the lines moved across themselves since the last frame.
     """
-    return covariances + (SAME * (across < RESTING))[:, None, None].astype(np.float32) * errors
+    resting = covariances.copy()
+    resting[:, 1, 1] += SAME * (across < RESTING) * errors[:, 1, 1]
+    return resting

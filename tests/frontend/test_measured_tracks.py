@@ -125,10 +125,10 @@ def test_a_resting_line_is_not_surer_than_its_pixels_allow():
     tracker = LineTracker()
     for index in range(40):
         tracks = step(tracker, index, LINES, LINES, LINES)
-    for row in range(2):
-        variance, seen = tracks.covariances[:, row, row], tracks.observed_covariances[:, row, row]
-        assert (variance >= 0.5 * seen).all()
-        assert (variance < seen).all()
+    fused, observed = tracks.covariances, tracks.observed_covariances
+    assert (fused[:, 0, 0] > 0.12**2).all(), "the bias of an offset stays"
+    assert (fused[:, 1, 1] > 0.5 * observed[:, 1, 1]).all(), "and half of an angle's variance"
+    assert (np.linalg.eigvalsh(observed - fused) > 0).all()
 
 
 def test_an_image_that_moves_as_a_whole_takes_its_lines_along():
