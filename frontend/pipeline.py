@@ -9,6 +9,7 @@ steps run at once, each on another frame.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack, closing
@@ -37,6 +38,8 @@ from frontend.warm_up import warm_up
 if TYPE_CHECKING:
     from frontend.cli.settings import RunConfig
     from frontend.cli.summary import SummaryCounter
+
+log = logging.getLogger(__name__)
 
 
 def run_pipeline(
@@ -120,17 +123,23 @@ class LineFrontend:
 
         Args:
             source: a `Source`, or whatever `frontend.open_source` takes: a video file, an image folder or glob, a
-                camera index, a stream URL. It is read in another thread, and closed at the end.
+                camera index, a stream URL. It is read in another thread, and closed at the end. What was guessed
+                about an input that was named is logged as a warning; of a `Source` see its `notes`.
             max_latency_s: of a live source only, see `FreshFrames`: frames that come too fast are dropped.
 
         Raises:
             InputError: the source cannot be used.
         """
         opened = open_source(source) if isinstance(source, (str, PathLike)) else _checked(source)
+        ours = opened is not source
         if opened.live:
             opened = FreshFrames(opened, max_latency_s)
+        said = 0
         with closing(opened), closing(self.results(opened)) as results:
             for result in results:
+                for note in opened.notes[said:] if ours else ():
+                    log.warning("%s: %s", opened.name, note)
+                said = len(opened.notes)
                 yield result.tracks
 
     def results(self, source: Source, *, serial: bool = False) -> Generator[FrameResult, None, None]:

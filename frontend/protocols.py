@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -44,8 +44,13 @@ class Source:
         skipped: frames so far that could not be read.
         dropped: frames so far for which there was no time.
         reconnects: how often the stream was lost and came back.
+        kind: for people, what the input was taken for.
+        codec: for people, how its pictures are stored; empty where nobody knows.
+        orientation: for people, how its pictures were turned upright, if they were.
+        notes: for people, a sentence on each thing that was guessed or done to the input; more may come on the way.
         calibration: for people, the file that its frames' camera is from, as far as that is known; None for another.
         first_stamp_ns: stamp of the first frame, from which `seek` counts; None for a source that cannot seek.
+        last_stamp_ns: stamp of the last frame, as far as it is known without reading all of them.
     """
 
     # read-only for those who use a source; who writes one may have properties or attributes of these names
@@ -64,15 +69,26 @@ class Source:
         @property
         def reconnects(self) -> int: ...
         @property
+        def kind(self) -> str: ...
+        @property
+        def codec(self) -> str: ...
+        @property
+        def orientation(self) -> str: ...
+        @property
+        def notes(self) -> Sequence[str]: ...
+        @property
         def calibration(self) -> str | None: ...
         @property
         def first_stamp_ns(self) -> int | None: ...
+        @property
+        def last_stamp_ns(self) -> int | None: ...
 
     else:
-        name = "source"
+        name, kind, codec, orientation = "source", "frames", "", "as stored"
         live = False
         skipped = dropped = reconnects = 0
-        frame_count = first_stamp_ns = calibration = None
+        frame_count = first_stamp_ns = last_stamp_ns = calibration = None
+        notes = ()
 
     def __iter__(self) -> Iterator[Frame]:
         raise NotImplementedError

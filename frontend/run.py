@@ -45,6 +45,11 @@ def main(arguments: list[str] | None = None) -> int:
             print(dump(config), end="")
         elif options.list_topics:
             print(wiring.list_topics(options.input))
+        elif options.info:
+            from frontend.cli.info import describe
+
+            with closing(wiring.open_input(options.input, config)) as source:
+                print(describe(source))
         else:
             with ending_like_interrupts():
                 return run(options, config)
@@ -75,7 +80,11 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 print(f"publishing at {publisher.address}", flush=True)
             save, viewer = wiring.where_to_record(options, source.name, server)
 
+            said: list[str] = []
+
             def sinks() -> Iterator[Sink]:  # opens them, when the first frame is there
+                said.extend(source.notes)
+                print_notes(said)
                 if source.calibration is not None:
                     hint = "" if config.input.calib else f"; --calib {NO_CALIBRATION} leaves it out"
                     print(f"calibration: {source.calibration}{hint}", flush=True)
@@ -92,6 +101,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                     yield wiring.open_recording(save, viewer, source.name, config, video)
 
             code, summary = process(source, config, sinks())
+        print_notes(summary.notes[len(said) :])
         report(options, summary, save, track_files)
         if server is not None and code == 0:
             wiring.wait_for_interrupt(server)
@@ -124,6 +134,12 @@ def process(source: Source, config: RunConfig, sinks: Iterable[Sink]) -> tuple[i
         code = EXIT_USER_ERROR
         print_errors(error)
     return code, counter.summary(source)
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print what was guessed or done to the input, a line for each."""
+    for note in notes:
+        print(f"note: {note}", flush=True)
 
 
 def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> None:

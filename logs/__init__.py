@@ -36,7 +36,11 @@ _MODULES = {
 
 
 def open_images(
-    path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
+    path: str | os.PathLike[str],
+    topic: str | None = None,
+    *,
+    time_source: TimeSource = "header",
+    autorotate: bool = True,
 ) -> LogImageSource:
     """The images of one topic of a log, MCAP, ROS 1 .bag or ROS 2 bag folder; see `LogImageSource`.
 
@@ -46,7 +50,7 @@ def open_images(
     from logs.files import open_log
     from logs.source import LogImageSource
 
-    return LogImageSource(open_log(path), topic, time_source=time_source)
+    return LogImageSource(open_log(path), topic, time_source=time_source, autorotate=autorotate)
 
 
 def __getattr__(name: str) -> Any:

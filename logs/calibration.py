@@ -14,9 +14,10 @@ from itertools import islice, takewhile
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import fit_camera, is_rectified
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
+from frontend.sources.reading import UndecodableError
 from logs.files import LogFile
 from logs.messages.readers import is_calibration_type, read_message
-from logs.messages.types import CameraInfo, UndecodableError
+from logs.messages.types import CameraInfo
 from logs.topics import printable
 
 log = logging.getLogger(__name__)

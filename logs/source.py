@@ -15,13 +15,13 @@ from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources.reading import Image, Skips
+from frontend.sources.reading import Image, Skips, UndecodableError
 from logs.calibration import camera_from_log
 from logs.files import LogFile, LogMessage
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import ImageDecoder, decode_still
 from logs.messages.readers import read_message
-from logs.messages.types import CameraInfo, EncodedImage, RawImage, UndecodableError, VideoPacket, is_key_frame
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, VideoPacket, is_key_frame
 from logs.stamps import StampClock, TimeSource, own_stamp
 from logs.topics import choose_topic, mean_rate_hz, printable
 
@@ -45,6 +45,7 @@ class LogImageSource(Source):
         file: the opened log; the source closes it.
         topic: the image topic; may be left out if there is only one.
         time_source: where stamps come from, "header", "publish" or "log"; see `StampClock`.
+        autorotate: turn compressed images upright as their EXIF data say.
 
     Raises:
         InputError: no such topic; while iterating, when not one message can be decoded.
@@ -52,10 +53,18 @@ class LogImageSource(Source):
 
     name: str
 
-    def __init__(self, file: LogFile, topic: str | None = None, *, time_source: TimeSource = "header") -> None:
+    def __init__(
+        self,
+        file: LogFile,
+        topic: str | None = None,
+        *,
+        time_source: TimeSource = "header",
+        autorotate: bool = True,
+    ) -> None:
         self._file = file
         self.name = file.name
         self._time_source = time_source
+        self._autorotate = autorotate
         self._skips = Skips(file.name)
         self._start_ns = 0  # since the first frame
         self._seen = 0
@@ -206,9 +215,14 @@ class McapImageSource(LogImageSource):
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], topic: str | None = None, *, time_source: TimeSource = "header"
+        self,
+        path: str | os.PathLike[str],
+        topic: str | None = None,
+        *,
+        time_source: TimeSource = "header",
+        autorotate: bool = True,
     ) -> None:
-        super().__init__(McapFile(path), topic, time_source=time_source)
+        super().__init__(McapFile(path), topic, time_source=time_source, autorotate=autorotate)
 
 
 def _picture(message: LogMessage) -> Picture:

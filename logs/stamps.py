@@ -6,8 +6,8 @@ import logging
 from collections import Counter
 from typing import Literal
 
+from frontend.sources.reading import UndecodableError
 from logs.files import LogMessage
-from logs.messages.types import UndecodableError
 
 log = logging.getLogger(__name__)
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from itertools import islice
 
 from airline.errors import ConfigError, InputError
+from frontend.sources.reading import UndecodableError
 from logs.files import LogFile, Topic, TopicType
 from logs.images.decoder import ImageDecoder
 from logs.messages.readers import is_calibration_type, is_image_type, read_message, reader_for
-from logs.messages.types import CameraInfo, RawImage, UndecodableError
+from logs.messages.types import CameraInfo, RawImage
 
 _NAMED = 5  # topics in an error
 _TRIED = 300  # messages until one shows its size; a video may start long before a key frame

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.errors import InputError, from_extra
+from airline.errors import InputError
 
 if TYPE_CHECKING:
     from viz.recording import RecordedFrame
@@ -69,8 +69,7 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> int:
     Raises:
         InputError: the file cannot be written.
     """
-    with from_extra("video"):
-        import av
+    import av  # FFmpeg takes time to import
 
     has_x264 = "libx264" in av.codecs_available
     codec, options = ("libx264", {"crf": FILM_QUALITY}) if has_x264 else ("mpeg4", {"q": "3"})

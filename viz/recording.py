@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from airline.errors import InputError, from_extra
+from airline.errors import InputError
 from airline.image import to_uint8
 from viz.rerun_private import CORNER
 
@@ -177,8 +177,7 @@ class _Images:
 
     def take(self, rows: Any, k: int) -> None:
         if "AssetVideo:blob" in rows.schema.names:
-            with from_extra("video"):
-                import av
+            import av  # FFmpeg takes time to import
 
             self._video = av.open(io.BytesIO(_bytes(rows, k, "AssetVideo:blob")), "r").decode(video=0)
             self._shown = self._next = next(self._video, None)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from airline.errors import ConfigError, from_extra
+from airline.errors import ConfigError
 from frontend.frame import Frame
 
 CODECS = ("h264", "hevc", "av1")  # what Rerun plays out of mp4
@@ -48,8 +48,7 @@ class VideoReferences:
 
 
 def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:
-    with from_extra("video"):
-        import av
+    import av  # FFmpeg takes time to import
 
     if not path.is_file():
         raise ConfigError(f"--log-image video needs a video file as its input, not {path}: {OTHERWISE}")

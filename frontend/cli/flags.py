@@ -39,6 +39,7 @@ FLAGS = {
         "--max-frames N": "input.max_frames",
         "--resize WxH": "input.resize",
         "--fps FPS": "input.fps",
+        "--no-autorotate": "input.no_autorotate",
     },
     "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
     "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
@@ -78,6 +79,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_flags(parser, "live sources")
     add_settings(parser)
     add = parser.add_argument_group("instead of a run").add_argument
+    add("--info", action="store_true", help="print what the input is taken for and exit")
     add("--list-topics", action="store_true", help="print image and calibration topics and exit")
     add("--dump-config", action="store_true", help="print all settings as TOML and exit")
     return parser

@@ -29,6 +29,7 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     realtime: Annotated[bool, Meta(description="play a recording at its own pace, as a camera would")] = False
     max_latency: Annotated[float, Meta(gt=0, description="drop a live source's frames that have waited longer")] = 0.2
     reconnect: Annotated[float, Meta(ge=0, description="try a stream that drops again for S seconds")] = 60.0
+    no_autorotate: Annotated[bool, Meta(description="leave pictures as they are stored, on their side")] = False
     topic: Annotated[str, Meta(description="image topic")] | None = None
     time_source: Annotated[Literal["header", "publish", "log"], Meta(description="where times come from")] = "header"
     calib: Annotated[str, Meta(description="calibration file, or none (default: the input's)")] | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +39,8 @@ class Summary:
         dropped_frames: frames of a live source that there was no time for.
         reconnects: how often a network stream was lost and came back.
         calibration: where the camera of a folder's or a file's frames is from; None for logs and where it is unknown.
+        kind: what the input was taken for.
+        notes: a sentence on each thing that was guessed or done to the input.
     """
 
     frames: int
@@ -58,6 +60,8 @@ class Summary:
     dropped_frames: int
     reconnects: int = 0
     calibration: str | None = None
+    kind: str = ""
+    notes: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
         """The figures as plain values, for JSON."""
@@ -147,4 +151,6 @@ class SummaryCounter:
             dropped_frames=source.dropped,
             reconnects=source.reconnects,
             calibration=source.calibration,
+            kind=source.kind,
+            notes=list(source.notes),
         )

@@ -52,11 +52,17 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     elif is_log(spec):
         from logs import open_images
 
-        source = open_images(spec, chosen.topic, time_source=chosen.time_source)
+        source = open_images(spec, chosen.topic, time_source=chosen.time_source, autorotate=not chosen.no_autorotate)
     elif chosen.topic is not None:
         raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
     else:
-        source = open_source(spec, fps=chosen.fps, reconnect_s=chosen.reconnect, calibrated=chosen.calib is None)
+        source = open_source(
+            spec,
+            fps=chosen.fps,
+            reconnect_s=chosen.reconnect,
+            calibrated=chosen.calib is None,
+            autorotate=not chosen.no_autorotate,
+        )
     if chosen.calib == NO_CALIBRATION:
         source = UncalibratedFrames(source)
     if calibration is not None or chosen.undistort:

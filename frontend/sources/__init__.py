@@ -12,7 +12,12 @@ __all__ = ["open_source"]
 
 
 def open_source(
-    spec: str | os.PathLike[str], *, fps: float = 30.0, reconnect_s: float = 60.0, calibrated: bool = True
+    spec: str | os.PathLike[str],
+    *,
+    fps: float = 30.0,
+    reconnect_s: float = 60.0,
+    calibrated: bool = True,
+    autorotate: bool = True,
 ) -> Source:
     """Open whatever `spec` names. What exists on disk comes first.
 
@@ -21,6 +26,7 @@ def open_source(
         fps: frames per second of images without times.
         reconnect_s: for how long a network stream that drops is tried again, seconds; see `LiveSource`.
         calibrated: take the calibration that lies with a folder's images; see `FolderSource`.
+        autorotate: turn pictures upright as their EXIF data or the video file says.
 
     Raises:
         InputError: it cannot be read.
@@ -40,5 +46,5 @@ def open_source(
     if not exists and "://" in text:
         return LiveSource(text, reconnect_s)
     if suffix in IMAGE_SUFFIXES or os.path.isdir(text) or (not exists and set("*?[") & set(text)):  # noqa: PTH112
-        return FolderSource(text, fps, calibrated=calibrated)
-    return VideoSource(text)
+        return FolderSource(text, fps, calibrated=calibrated, autorotate=autorotate)
+    return VideoSource(text, autorotate=autorotate)

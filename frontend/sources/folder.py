@@ -32,6 +32,7 @@ class FolderSource(Source):
         calibrated: take the calibration file that lies with the images, where data sets have theirs: frames carry its
             camera, and `calibration` names it from the first that has it on. One that makes no sense costs a warning;
             so does the first image that it does not fit, and such images have no camera.
+        autorotate: turn images upright as their EXIF data say.
 
     Raises:
         InputError: there is no such folder, no image in it, or its times cannot be read; while iterating, when not
@@ -43,7 +44,9 @@ class FolderSource(Source):
     frame_count: int
     first_stamp_ns: int
 
-    def __init__(self, path: str | os.PathLike[str], fps: float = 30.0, *, calibrated: bool = True) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], fps: float = 30.0, *, calibrated: bool = True, autorotate: bool = True
+    ) -> None:
         self._rows = list_images(path, fps)
         folder = Path(path) if os.path.isdir(path) else self._rows[0].path.parent  # noqa: PTH112
         self.name = Path(path).stem if os.path.isfile(path) else folder.resolve().name or "images"  # noqa: PTH113
@@ -54,6 +57,7 @@ class FolderSource(Source):
         place = folder_of(self._rows)
         self._found = find_calibration(place) if calibrated and place else None
         self._misfit = False
+        self._autorotate = autorotate
 
     @property
     def skipped(self) -> int:

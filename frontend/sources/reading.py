@@ -14,11 +14,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.errors import InputError
+
 Image = NDArray[np.uint8] | NDArray[np.uint16]
+Bytes = bytes | memoryview
 
 _FFMPEG_LEVEL = "OPENCV_FFMPEG_LOGLEVEL"
 _AV_LOG_QUIET = "-8"
 _NAMED = 5  # reasons in a warning
+
+
+class UndecodableError(InputError):
+    """An image or message that cannot be used; `reason` has the same words for the same fault, to be counted by."""
+
+    def __init__(self, reason: str, detail: str = "") -> None:
+        super().__init__(f"{reason}: {detail}" if detail else reason)
+        self.reason = reason
 
 
 @contextmanager

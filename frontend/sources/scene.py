@@ -21,6 +21,7 @@ class SceneSource(Source):
     """Frames of a rendered clip; the default is a hand-held walk of ten seconds along a corridor."""
 
     name: str
+    kind = "rendered clip"
     frame_count: int
 
     def __init__(self, clip: RenderedClip | None = None) -> None:

@@ -31,6 +31,10 @@ class VideoSource(Source):
     `Frame.stamp_ns` counts from the first readable frame and follows the container's times; where it has none, its
     frame rate. A damaged frame is skipped and keeps its number; a cut file yields what is readable.
 
+    Args:
+        path: the file.
+        autorotate: turn the pictures upright as the file says.
+
     Raises:
         InputError: the file is missing, no video, or has no readable frame.
     """
@@ -39,8 +43,9 @@ class VideoSource(Source):
     frame_count: int | None
     first_stamp_ns = 0
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, autorotate: bool = True) -> None:
         self._path = Path(path)
+        self._autorotate = autorotate
         self.name = self._path.stem
         self._skips = Skips(self.name)
         self._capture = _open(self._path)

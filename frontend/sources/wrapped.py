@@ -35,8 +35,9 @@ class WrappedSource(Source):
         self._source.close()
 
 
-_PASSED_ON = ("name", "frame_count", "live", "skipped", "dropped", "reconnects", "calibration", "first_stamp_ns")
-for _name in _PASSED_ON:
+_COUNTS = ("frame_count", "skipped", "dropped", "reconnects", "first_stamp_ns", "last_stamp_ns")
+_WORDS = ("name", "live", "kind", "codec", "orientation", "notes", "calibration")
+for _name in (*_COUNTS, *_WORDS):
     setattr(WrappedSource, _name, property(attrgetter(f"_source.{_name}")))
 
 

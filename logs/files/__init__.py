@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airline.errors import InputError
-from logs.messages.types import Bytes
+from frontend.sources.reading import Bytes
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """What every MCAP file begins with."""

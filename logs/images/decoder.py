@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.sources.reading import Image
-from logs.images.encoded import decode_encoded
-from logs.messages.types import EncodedImage, RawImage, UndecodableError, VideoPacket
+from frontend.sources.reading import Image, UndecodableError
+from frontend.sources.stills import decode_encoded
+from logs.messages.types import EncodedImage, RawImage, VideoPacket
 
 if TYPE_CHECKING:
     from logs.images.video import VideoDecoder

@@ -5,18 +5,16 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import cast
 
+import av
 import numpy as np
+from av.codec.context import Flags
+from av.video.codeccontext import VideoCodecContext
+from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from airline.errors import from_extra
-from logs.messages.types import UndecodableError, VideoPacket, is_key_frame
-
-with from_extra("video"):
-    import av
-    from av.codec.context import Flags
-    from av.video.codeccontext import VideoCodecContext
-    from av.video.frame import VideoFrame
-    from av.video.reformatter import VideoReformatter
+from frontend.sources.reading import UndecodableError
+from logs.messages.types import VideoPacket, is_key_frame
 
 _Stamped = tuple[int, NDArray[np.uint8]]
 _CODECS = {"h264": "h264", "h265": "hevc"}
@@ -34,9 +32,6 @@ class VideoDecoder:
     An image has its own packet's stamp, and comes at once where the stream has no B-frames. After damage nothing is
     decoded up to the next key frame: every picture until then would be predicted from a wrong one. FFmpeg notices cut
     and nearly all damaged H.264 pictures and missing H.265 ones, but few damaged H.265 and no missing H.264 ones.
-
-    Raises:
-        ConfigError: PyAV is not installed.
     """
 
     def __init__(self) -> None:

@@ -25,13 +25,12 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from frontend.sources.reading import Bytes, UndecodableError
 from logs.messages.types import (
-    Bytes,
     CameraInfo,
     EncodedImage,
     RawImage,
     Record,
-    UndecodableError,
     VideoPacket,
     sniffed_video_format,
     stamp_ns,

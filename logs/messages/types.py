@@ -5,17 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from airline.errors import InputError
-
-Bytes = bytes | memoryview
-
-
-class UndecodableError(InputError):
-    """A message that cannot be used; `reason` has the same words for the same fault, so that they can be counted."""
-
-    def __init__(self, reason: str, detail: str = "") -> None:
-        super().__init__(f"{reason}: {detail}" if detail else reason)
-        self.reason = reason
+from frontend.sources.reading import Bytes
 
 
 @dataclass(frozen=True, slots=True)

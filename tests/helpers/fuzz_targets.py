@@ -15,12 +15,12 @@ from airline.network.weights import load_ranges, load_weights
 from frontend.camera.calibration import read_calibration
 from frontend.cli.settings import RunConfig, dump, load
 from frontend.protocols import FrameResult
-from frontend.sources.reading import decode_image
+from frontend.sources.reading import UndecodableError, decode_image
 from logs import read_tracks
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still
 from logs.messages.readers import reader_for
-from logs.messages.types import EncodedImage, RawImage, UndecodableError
+from logs.messages.types import EncodedImage, RawImage
 from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.tables import ParquetTrackSink
 from logs.tracks.json import decode_tracks, encode_tracks

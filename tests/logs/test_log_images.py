@@ -15,10 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from frontend.sources.reading import UndecodableError
+from frontend.sources.stills import decode_encoded
 from logs.images.decoder import decode_pixels, decode_still
-from logs.images.encoded import decode_encoded
 from logs.messages.readers import reader_for
-from logs.messages.types import EncodedImage, RawImage, UndecodableError
+from logs.messages.types import EncodedImage, RawImage
 from tests.helpers.camera_messages import cdr, image_fields, picture, ros1
 
 DEPTH = (np.random.default_rng(3).integers(0, 65536, (64, 96))).astype(np.uint16)

@@ -11,8 +11,9 @@ import pytest
 from foxglove_schemas_protobuf import CameraCalibration_pb2, CompressedImage_pb2, CompressedVideo_pb2, RawImage_pb2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from frontend.sources.reading import UndecodableError
 from logs.messages.readers import is_calibration_type, is_image_type, reader_for
-from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, UndecodableError, VideoPacket
+from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, VideoPacket
 from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
 
 PIXELS = bytes(range(24))

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from airline.image import to_uint8
+from frontend.sources.reading import UndecodableError
 from logs.images.decoder import ImageDecoder, SteadyScale
-from logs.messages.types import EncodedImage, RawImage, UndecodableError
+from logs.messages.types import EncodedImage, RawImage
 from tests.helpers.camera_messages import picture, rendered
 
 NOISE = np.random.default_rng(3).integers(0, 65536, (64, 96)).astype(np.uint16)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from frontend.sources.reading import UndecodableError
 from logs.files import LogMessage, TopicType
-from logs.messages.types import UndecodableError
 from logs.stamps import StampClock, TimeSource
 
 SECOND = 10**9

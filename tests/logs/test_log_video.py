@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import suppress
 from fractions import Fraction
 from functools import cache
@@ -12,10 +11,9 @@ import av
 import numpy as np
 import pytest
 
-from airline.errors import ConfigError
-from logs.images.decoder import ImageDecoder
+from frontend.sources.reading import UndecodableError
 from logs.images.video import VideoDecoder
-from logs.messages.types import UndecodableError, VideoPacket, is_key_frame
+from logs.messages.types import VideoPacket, is_key_frame
 from tests.helpers.camera_messages import STAMP_NS, picture
 
 COUNT = 12
@@ -192,10 +190,3 @@ def test_mutated_streams(name: str, b_frames: int, capfd: pytest.CaptureFixture[
     images = [image for packet in stream(name, b_frames) for image in decoder.feed(packet)]
     check(images + decoder.flush(), list(range(COUNT)))
     assert capfd.readouterr().err == ""
-
-
-def test_without_pyav(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "av", None)
-    monkeypatch.delitem(sys.modules, "logs.images.video")
-    with pytest.raises(ConfigError, match=r"av is not installed: pip install 'airline-frontend\[video\]'"):
-        ImageDecoder().decode(VideoPacket(0, "", "h264", b"\0\0\1\x65"))

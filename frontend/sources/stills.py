@@ -16,8 +16,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from frontend.sources.reading import Image, as_frame_image
-from logs.messages.types import Bytes, UndecodableError
+from frontend.sources.reading import Bytes, Image, UndecodableError, as_frame_image
 
 MOST_PIXELS = 1 << 26
 _MOST_JPEG_SEGMENTS = 10_000
