@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -28,11 +29,11 @@ def start(port: int, *arguments: str, output: int | IO[bytes] = subprocess.DEVNU
 
     It gets a session of its own: Ctrl-C ends the run and leaves a window open.
     """
-    program = Path(sys.executable).with_name("rerun")
-    if not program.exists():
+    program = shutil.which("rerun", path=Path(sys.executable).parent)
+    if program is None:
         return None
     return subprocess.Popen(
-        [str(program), "--bind", "127.0.0.1", "--port", str(port), *arguments],
+        [program, "--bind", "127.0.0.1", "--port", str(port), *arguments],
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=subprocess.STDOUT,
@@ -44,7 +45,10 @@ def start(port: int, *arguments: str, output: int | IO[bytes] = subprocess.DEVNU
 def stop(viewer: Viewer) -> None:
     """End a viewer of `start`."""
     if viewer.poll() is None:
-        os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
+        if hasattr(os, "killpg"):
+            os.killpg(viewer.pid, signal.SIGKILL)  # `rerun` is a launcher: the viewer is its child
+        else:
+            viewer.kill()
     viewer.wait()
 
 

@@ -8,7 +8,6 @@ have results, unless they or the settings have changed since; earlier results st
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import shutil
@@ -19,6 +18,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
+
+from filelock import FileLock, Timeout
 
 from airline.errors import ConfigError, InputError, errors_of, from_extra
 from frontend.batch.job import UNFINISHED, Job, JobSettings, Row, WorkerDied, run_recording, write_report
@@ -101,16 +102,14 @@ def reserved(out: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be made or written, or another batch is writing into it.
     """
+    lock = FileLock(out / ".lock", timeout=0)  # ends with the process, even with one that is killed
     with errors_of(out):
         out.mkdir(parents=True, exist_ok=True)
-        lock = (out / ".lock").open("a")
-    with lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process, even with one that is killed
-        except BlockingIOError:
+            lock.acquire()
+        except Timeout:
             raise InputError(f"another batch is writing into '{out}': wait for it, or give another --out") from None
-        except OSError:  # a file system without locks
-            pass
+    with lock:
         _remove_unfinished(out)
         try:
             yield
