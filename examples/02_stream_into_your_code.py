@@ -5,11 +5,10 @@ INPUT is a video file, an image folder or glob, a camera index or a stream URL; 
 
 import sys
 
-from airline.scenes import RenderedClip
 from frontend import LineFrontend
-from frontend.sources.scene import SceneSource
+from frontend.sources.scene import CLIP
 
-source = sys.argv[1] if len(sys.argv) > 1 else SceneSource(RenderedClip(seed=12, frames=20))
+source = sys.argv[1] if len(sys.argv) > 1 else CLIP
 for tracks in LineFrontend().stream(source):
     # tracks that were seen often enough: in this frame, and before it what earlier frames saw of those that are new
     for seen in (*tracks.history, tracks.take(tracks.confirmed)):

@@ -5,16 +5,12 @@ INDEX_OR_URL is a camera's number or a stream's URL; without it the built-in cli
 
 import sys
 
-from airline.scenes import RenderedClip
 from frontend import LineFrontend, open_source
 from frontend.sources.pace import FreshFrames, RealtimeSource
-from frontend.sources.scene import SceneSource
-from frontend.sources.wrapped import Peeked
+from frontend.sources.scene import BuiltInClip
+from frontend.sources.wrapped import Peeked, SelectedFrames
 
-if len(sys.argv) > 1:
-    camera = open_source(sys.argv[1])
-else:
-    camera = RealtimeSource(SceneSource(RenderedClip(seed=12, frames=40)), ahead=True)
+camera = open_source(sys.argv[1]) if sys.argv[1:] else RealtimeSource(SelectedFrames(BuiltInClip(), max_frames=90))
 fresh = FreshFrames(camera, prepares=True)  # drops the oldest frames when the camera is faster than we are
 frontend = LineFrontend()
 try:

@@ -45,19 +45,20 @@ log = logging.getLogger(__name__)
 def run_pipeline(
     source: Source,
     frontend: LineFrontend,
-    sinks: Iterable[Sink],
+    sinks: Iterable[Sink] | Callable[[Frame], Iterable[Sink]],
     counter: SummaryCounter,
     *,
     serial: bool = False,
-    advance: Callable[[], None] = lambda: None,
+    advance: Callable[[FrameResult], None] = lambda result: None,
 ) -> None:
     """Take every frame of a source through detector and tracker into all sinks.
 
     Args:
         source: the frames; closed whatever happens.
         frontend: detector and tracker.
-        sinks: where results go; closed whatever happens. They may come from a generator that opens them: it is asked
-            when the first frame has been read, so that a bad input leaves earlier output files alone.
+        sinks: where results go; closed whatever happens. They may come from a generator that opens them, or from a
+            function of the first frame: it is asked when that has been read, so that a bad input leaves earlier output
+            files alone.
         counter: counts the frames, from when the sinks are open.
         serial: see `LineFrontend.results`.
         advance: called after each frame.
@@ -73,7 +74,8 @@ def run_pipeline(
         frontend.warm_up(frames.first.image)
 
         opened: list[Sink] = []
-        for sink in sinks:  # one by one: those that are open are closed when the next one fails
+        opening = sinks(frames.first) if callable(sinks) else sinks
+        for sink in opening:  # one by one: those that are open are closed when the next one fails
             finishing.callback(_finish, sink)
             opened.append(sink)
         counter.start()
@@ -85,7 +87,7 @@ def run_pipeline(
                     for sink in opened:
                         sink.write(result)
                     counter.add(result, sinks_ms=1e3 * (time.perf_counter() - started))
-                advance()
+                advance(result)
 
 
 def _finish(sink: Sink) -> None:

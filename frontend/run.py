@@ -16,17 +16,17 @@ from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, InputError
 from frontend.cli import wiring
 from frontend.cli.flags import build_parser, settings_of
-from frontend.cli.settings import NO_CALIBRATION
 from frontend.cli.signals import ending_like_interrupts, exit_code_of
 from frontend.cli.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from frontend.cli.settings import RunConfig
     from frontend.cli.summary import Summary
-    from frontend.protocols import Sink, Source
+    from frontend.frame import Frame
+    from frontend.protocols import FrameResult, Sink, Source
 
 log = logging.getLogger("frontend.run")
 
@@ -63,6 +63,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C, print and write the summary; returns the exit code."""
+    from frontend.cli.info import introduce
+
     video = wiring.video_to_log(options.input, config)
     track_files = wiring.track_files(options.out, overwrite=options.overwrite)
     check_outputs(options, chain(*track_files))
@@ -80,14 +82,13 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 print(f"publishing at {publisher.address}", flush=True)
             save, viewer = wiring.where_to_record(options, source.name, server)
 
-            said: list[str] = []
+            said = 0
 
-            def sinks() -> Iterator[Sink]:  # opens them, when the first frame is there
-                said.extend(source.notes)
-                print_notes(said)
-                if source.calibration is not None:
-                    hint = "" if config.input.calib else f"; --calib {NO_CALIBRATION} leaves it out"
-                    print(f"calibration: {source.calibration}{hint}", flush=True)
+            def sinks(first: Frame) -> Iterator[Sink]:  # opens them
+                nonlocal said
+                results = [*_written(save, track_files), *filter(None, [viewer and f"into the viewer at {viewer}"])]
+                print(introduce(source, first, results, found=not config.input.calib), flush=True)
+                said = len(source.notes)
                 yield from publishers  # first, so that nobody there waits for the others
                 for spec in options.out:
                     yield wiring.open_track_sink(
@@ -100,15 +101,18 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 if save is not None or viewer is not None:
                     yield wiring.open_recording(save, viewer, source.name, config, video)
 
-            code, summary = process(source, config, sinks())
-        print_notes(summary.notes[len(said) :])
+            code, summary = process(source, config, sinks)
+        for note in summary.notes[said:]:
+            print(f"note: {note}")
         report(options, summary, save, track_files)
         if server is not None and code == 0:
             wiring.wait_for_interrupt(server)
     return code
 
 
-def process(source: Source, config: RunConfig, sinks: Iterable[Sink]) -> tuple[int, Summary]:
+def process(
+    source: Source, config: RunConfig, sinks: Iterable[Sink] | Callable[[Frame], Iterable[Sink]]
+) -> tuple[int, Summary]:
     """`run_pipeline` with these settings until the source ends or Ctrl-C; returns the exit code and the figures.
 
     Raises:
@@ -118,13 +122,19 @@ def process(source: Source, config: RunConfig, sinks: Iterable[Sink]) -> tuple[i
     from frontend.pipeline import open_frontend, run_pipeline
     from frontend.warm_up import compile_ahead
 
-    compile_ahead()
+    if compile_ahead():
+        print("compiling for this processor, once: about a quarter of a minute", flush=True)
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
     code = 0
     try:
         with progress(source.name, source.frame_count) as advance:
-            run_pipeline(source, frontend, sinks, counter, serial=config.serial, advance=advance)
+
+            def show(result: FrameResult) -> None:
+                dropped = f", {source.dropped} dropped" if source.dropped else ""
+                advance(f"{len(result.trace.lines)} lines, {len(result.tracks)} tracks{dropped}")
+
+            run_pipeline(source, frontend, sinks, counter, serial=config.serial, advance=show)
     except KeyboardInterrupt as interrupt:
         code = exit_code_of(interrupt)
         log.warning("interrupted: what was done so far is kept")
@@ -136,10 +146,10 @@ def process(source: Source, config: RunConfig, sinks: Iterable[Sink]) -> tuple[i
     return code, counter.summary(source)
 
 
-def print_notes(notes: Iterable[str]) -> None:
-    """Print what was guessed or done to the input, a line for each."""
-    for note in notes:
-        print(f"note: {note}", flush=True)
+def _written(save: Path | None, track_files: Iterable[list[Path]]) -> list[str]:
+    """The files of a run, each with a word where one is replaced."""
+    paths = [*([] if save is None else [save]), *(files[0] for files in track_files)]
+    return [f"{path} (in place of the one that is there)" if path.exists() else f"{path}" for path in paths]
 
 
 def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> None:
@@ -161,10 +171,9 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
     """Print the figures and what was written where; write the --summary."""
     from rich.console import Console
 
-    Console().print(summary.table())
+    console = Console()
+    console.print(summary.table(boxed=console.is_terminal))
     if summary.frames:
-        if options.input is None:
-            print("the built-in clip is rendered while it runs, which takes most of the time: videos are faster")
         if save is not None and save.exists():
             print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
         for spec, files in zip(options.out, track_files, strict=True):

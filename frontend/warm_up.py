@@ -31,8 +31,11 @@ from frontend.tracking.overlap import _votes
 _helper: subprocess.Popen[bytes] | None = None
 
 
-def compile_ahead() -> None:
-    """On a machine's first start, begin to compile in another process, long before `warm_up` needs it."""
+def compile_ahead() -> bool:
+    """On a machine's first start, begin to compile in another process, long before `warm_up` needs it.
+
+    Returns whether there is something to compile, which makes this start some 10 s longer.
+    """
     global _helper
     folder = _votes.stats.cache_path
     is_cold = folder is not None and not any(Path(folder).glob("overlap._votes-*.nbi"))
@@ -45,6 +48,7 @@ def compile_ahead() -> None:
                 stderr=subprocess.DEVNULL,
             )
             atexit.register(_helper.kill)
+    return is_cold
 
 
 def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 from airline.errors import InputError
+from frontend.cli.settings import NO_CALIBRATION
+from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources.wrapped import Peeked
 
@@ -20,17 +23,12 @@ def describe(source: Source) -> str:
     first = Peeked(source).first
     if first is None:
         raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
-    height, width = first.image.shape[:2]
-    begin_ns, end_ns, count = first.stamp_ns, source.last_stamp_ns, source.frame_count
-    rate = None
-    if count is not None and count > 1 and end_ns is not None and end_ns > begin_ns:
-        rate = (count - 1) * 1e9 / (end_ns - begin_ns)
-    grey, bits = "grey" if first.image.ndim == 2 else "colour", 8 * first.image.itemsize
+    end_ns, count, rate = source.last_stamp_ns, source.frame_count, _rate_hz(source, first)
     rows = {
         "kind": source.kind,
-        "size": f"{width}x{height}, {grey}, {bits} bits",
+        "size": _size(first),
         "frames": "?" if count is None else f"{count}",
-        "first time": _time(begin_ns),
+        "first time": _time(first.stamp_ns),
         "last time": "?" if end_ns is None else _time(end_ns),
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
         "orientation": source.orientation,
@@ -40,8 +38,40 @@ def describe(source: Source) -> str:
     if (camera := first.camera) is not None:
         lens = "no distortion" if camera.distortion == "none" else camera.distortion
         rows["camera"] = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g} px, {lens}"
-    lines = [f"{name + ':':<13}{value}" for name, value in rows.items()]
-    return "\n".join([*lines, *(f"note: {note}" for note in source.notes)])
+    return _lines(rows, source.notes)
+
+
+def introduce(source: Source, first: Frame, results: Sequence[str], *, found: bool) -> str:
+    """What a run begins with: its input, the camera or what it costs to have none, its results, what was guessed.
+
+    `found` says that the calibration was looked for, and not given.
+    """
+    count, rate = source.frame_count, _rate_hz(source, first)
+    known = source.kind, _size(first), f"{count} frames" if count else "", f"{rate:.4g} frames/s" if rate else ""
+    if first.camera is None:
+        calibration = "none, so lines have pixels but no rays: --calib FILE gives one"
+    elif source.calibration is None:
+        calibration = "the input's own"
+    else:
+        calibration = f"{source.calibration}{f'; --calib {NO_CALIBRATION} leaves it out' if found else ''}"
+    return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, source.notes, results)
+
+
+def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:
+    pairs = [*rows.items(), *(("note", note) for note in notes), *(("writing", result) for result in results)]
+    return "\n".join(f"{name + ':':<12} {value}" for name, value in pairs)
+
+
+def _size(frame: Frame) -> str:
+    height, width = frame.image.shape[:2]
+    return f"{width}x{height} {'grey' if frame.image.ndim == 2 else 'colour'}, {8 * frame.image.itemsize} bits"
+
+
+def _rate_hz(source: Source, first: Frame) -> float | None:
+    count, end_ns = source.frame_count, source.last_stamp_ns
+    if count is None or count < 2 or end_ns is None or end_ns <= first.stamp_ns:
+        return None
+    return (count - 1) * 1e9 / (end_ns - first.stamp_ns)
 
 
 def _time(stamp_ns: int) -> str:

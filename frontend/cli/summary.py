@@ -25,6 +25,7 @@ class Summary:
         frames: frames processed.
         fps: frames per second of wall time, sinks included.
         stage_ms: median milliseconds per stage.
+        stage_share: of the time of all stages, which work on different frames at once; 0 to 1.
         latency_ms: median milliseconds from when a frame had been read to when its tracks were known.
         lines_per_frame: mean number of detected lines.
         live_tracks_per_frame: mean number of tracks handed out as seen, tentative ones included.
@@ -46,6 +47,7 @@ class Summary:
     frames: int
     fps: float
     stage_ms: dict[str, float]
+    stage_share: dict[str, float]
     latency_ms: float
     lines_per_frame: float
     live_tracks_per_frame: float
@@ -67,28 +69,35 @@ class Summary:
         """The figures as plain values, for JSON."""
         return asdict(self)
 
-    def table(self) -> Table:
-        """The figures as a table for the terminal."""
+    def table(self, *, boxed: bool = True) -> Table:
+        """The figures as a table for the terminal, in groups; without lines around them where it is not `boxed`."""
+        from rich import box
         from rich.table import Table
 
         missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames, "reconnects": self.reconnects}
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
-        rows = {
-            "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
-            "frames/s": f"{self.fps:.1f}",
-            **{f"{stage}, median ms": f"{spent:.2f}" for stage, spent in self.stage_ms.items()},
-            "latency, median ms": f"{self.latency_ms:.2f}",
-            "lines per frame": f"{self.lines_per_frame:.1f}",
-            "live tracks per frame": f"{self.live_tracks_per_frame:.1f}",
-            "stable tracks per frame": f"{self.stable_tracks_per_frame:.1f}",
-            "measured per frame": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
-            **({"left out per frame": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
-            "tracks": f"{self.tracks} confirmed of {self.ids} ids",
-            "median track length, frames": f"{self.track_length_median:g}",
+        groups = {
+            "input": {
+                "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
+                "frames/s": f"{self.fps:.1f}",
+                "latency, median": f"{self.latency_ms:.2f} ms",
+            },
+            "time": {stage: f"{spent:.2f} ms, {self.stage_share[stage]:.0%}" for stage, spent in self.stage_ms.items()},
+            "tracks": {
+                "lines per frame": f"{self.lines_per_frame:.1f}",
+                "tracks per frame": f"{self.live_tracks_per_frame:.1f}",
+                "of these stable": f"{self.stable_tracks_per_frame:.1f}",
+                "of these measured, not detected": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
+                **({"left out by --max-lines": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
+                "all tracks": f"{self.tracks} confirmed of {self.ids} ids",
+                "seen in, median": f"{self.track_length_median:g} frames",
+            },
         }
-        table = Table(show_header=False)
-        for row in rows.items():
-            table.add_row(*row)
+        table = Table(box=box.ROUNDED if boxed else None, show_header=False)
+        for group, rows in groups.items():
+            table.add_section()
+            for number, row in enumerate(rows.items()):
+                table.add_row("" if number else group, *row)
         return table
 
 
@@ -133,10 +142,13 @@ class SummaryCounter:
         of_all = self._lengths + Counter(self._hits.values())
         lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
+        stage_ms = {stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()}
+        all_ms = sum(stage_ms.values()) or 1.0
         return Summary(
             frames=self._frames,
             fps=round(self._frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
-            stage_ms={stage: round(float(np.median(spent)), 3) for stage, spent in self._stages.items()},
+            stage_ms=stage_ms,
+            stage_share={stage: round(spent / all_ms, 4) for stage, spent in stage_ms.items()},
             latency_ms=round(float(np.median(self._latencies)), 3) if self._latencies else 0.0,
             lines_per_frame=round(lines, 2),
             live_tracks_per_frame=round(live, 2),

@@ -11,8 +11,10 @@ from airline.command import StderrHandler
 
 
 @contextmanager
-def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Callable[[], None]]:
+def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Callable[..., None]]:
     """A progress bar with frames/s on stderr; none where that is no terminal. Yields what to call per frame.
+
+    It may be called with words that are shown beside the bar.
 
     Args:
         name: shown before the bar.
@@ -20,7 +22,7 @@ def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Cal
         unit: what is counted, where that is not frames.
     """
     if not sys.stderr.isatty():
-        yield lambda: None
+        yield lambda words="": None
         return
     from rich.console import Console
     from rich.progress import (
@@ -40,10 +42,11 @@ def progress(name: str, total: int | None, unit: str = "frames") -> Iterator[Cal
             return Text(f"{speed:.1f} {unit}/s" if speed else "")
 
     title = TextColumn("{task.description}", markup=False)  # a file name may hold brackets
-    columns = (title, BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    more = TextColumn("{task.fields[words]}", markup=False)
+    columns = (title, BarColumn(), MofNCompleteColumn(), Rate(), more, TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(name, total=total)
-        yield lambda: bar.advance(task)
+        task = bar.add_task(name, total=total, words="")
+        yield lambda words="": bar.update(task, advance=1, words=words)
 
 
 def set_up_logging(verbosity: int) -> None:

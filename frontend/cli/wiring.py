@@ -46,9 +46,9 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         calibration = read_calibration(chosen.calib_file, spec)
     source: Source
     if spec is None:
-        from frontend.sources.scene import SceneSource
+        from frontend.sources.scene import BuiltInClip
 
-        source = SceneSource()
+        source = BuiltInClip()
     elif is_log(spec):
         from logs import open_images
 
@@ -76,7 +76,7 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         resize=chosen.size,
     )
     if chosen.realtime and not source.live:
-        source = RealtimeSource(source, ahead=spec is None)  # the built-in clip takes longer to render than to play
+        source = RealtimeSource(source)
     if not source.live or config.serial:
         return source
     return FreshFrames(source, chosen.max_latency, prepares=True)
@@ -135,7 +135,9 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
     if config.input.resize is not None or config.input.undistort:
         raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
     if spec is None:
-        raise ConfigError("--log-image video needs a video file as its input: name one, or use --log-image jpeg")
+        from frontend.sources.scene import CLIP
+
+        return CLIP
     return Path(spec)
 
 

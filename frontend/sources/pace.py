@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import takewhile
 
 from frontend.frame import Frame
 from frontend.protocols import Source
@@ -28,20 +27,16 @@ class RealtimeSource(WrappedSource):
 
     Args:
         source: the recording.
-        ahead: read all of it into memory before the first frame, for a source that is slower than its own stamps.
     """
 
     live = True
 
-    def __init__(self, source: Source, *, ahead: bool = False) -> None:
+    def __init__(self, source: Source) -> None:
         super().__init__(source)
-        self._ahead = ahead
         self._stopped = threading.Event()
 
     def __iter__(self) -> Iterator[Frame]:
         frames = iter(self._source)
-        if self._ahead:
-            frames = iter(list(takewhile(lambda frame: not self._stopped.is_set(), frames)))
         first = next(frames, None)
         if first is None:
             return

@@ -1,13 +1,57 @@
-"""The built-in clip: a rendered scene as a source of frames."""
+"""Rendered scenes as sources of frames, and the built-in clip: one of them as a small video, with its truth beside it.
+
+`python -m frontend.sources.scene` renders that clip anew: `corridor.mp4`, the camera as `camera.json`, and `poses.txt`
+with a row "time x y z qx qy qz qw" per frame, world from camera, in s and m, as TUM's trajectories are written.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from airline.scenes import RenderedClip, RenderedView, render_clip
+from frontend.camera.calibration import read_calibration
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.video import VideoSource
+from frontend.sources.wrapped import CalibratedFrames
+
+if TYPE_CHECKING:
+    from airline.scenes import RenderedClip, RenderedView
+
+CLIP = Path(__file__).with_name("clip") / "corridor.mp4"
+"""A hand-held walk of ten seconds along a corridor, 640x480."""
+
+_QUALITY = {"crf": "20", "preset": "slow", "g": "60", "threads": "1"}
+
+
+class BuiltInClip(CalibratedFrames):
+    """Frames of the built-in clip, with their camera."""
+
+    kind = "built-in clip"
+
+    def __init__(self) -> None:
+        super().__init__(VideoSource(CLIP), read_calibration(CLIP.with_name("camera.json")).camera)
+
+
+class SceneSource(Source):
+    """Frames of a rendered clip, rendered while it runs."""
+
+    name: str
+    kind = "rendered clip"
+    frame_count: int
+
+    def __init__(self, clip: RenderedClip) -> None:
+        self._clip = clip
+        self.name = f"{self._clip.kind}-{self._clip.motion}"
+        self.frame_count = len(self._clip)
+
+    def __iter__(self) -> Iterator[Frame]:
+        from airline.scenes import render_clip
+
+        for index, view in enumerate(render_clip(self._clip, workers=2)):
+            yield frame_of(index, view)
 
 
 def frame_of(index: int, view: RenderedView) -> Frame:
@@ -17,18 +61,37 @@ def frame_of(index: int, view: RenderedView) -> Frame:
     return Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
 
 
-class SceneSource(Source):
-    """Frames of a rendered clip; the default is a hand-held walk of ten seconds along a corridor."""
+def built_in_clip() -> RenderedClip:
+    """What the built-in clip is a video of, with all of its truth."""
+    from airline.scenes import RenderedClip
 
-    name: str
-    kind = "rendered clip"
-    frame_count: int
+    return RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
 
-    def __init__(self, clip: RenderedClip | None = None) -> None:
-        self._clip = clip or RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
-        self.name = f"{self._clip.kind}-{self._clip.motion}"
-        self.frame_count = len(self._clip)
 
-    def __iter__(self) -> Iterator[Frame]:
-        for index, view in enumerate(render_clip(self._clip, workers=2)):
-            yield frame_of(index, view)
+def write_clip(views: Iterable[RenderedView], video: Path) -> None:
+    """Write rendered views of 640x480 px at 30 frames/s as an H.264 video, and the truth beside it."""
+    import json
+
+    import av
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    rows = []
+    with av.open(str(video), "w") as file:
+        stream = file.add_stream("libx264", rate=30, options=_QUALITY)
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
+        for index, view in enumerate(views):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(view.image, format="bgr24")))
+            turn = Rotation.from_matrix(view.pose[:3, :3]).as_quat()
+            rows.append((view.stamp_ns * 1e-9, *view.pose[:3, 3], *turn))
+            camera = frame_of(index, view).camera
+        file.mux(stream.encode())
+    assert camera is not None
+    numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    video.with_name("camera.json").write_text(json.dumps(numbers, indent=2) + "\n")
+    np.savetxt(video.with_name("poses.txt"), rows, fmt="%.9f", header="time x y z qx qy qz qw, world from camera")
+
+
+if __name__ == "__main__":
+    write_clip(built_in_clip(), CLIP)

@@ -81,15 +81,24 @@ def test_table_and_json_hold_the_same_figures(run: Run) -> None:
     assert list(figures["stage_ms"]) == STAGES
     assert min(figures["stage_ms"].values()) > 0
     assert (figures["frames"], figures["skipped_frames"]) == (FRAMES, 0)
-    shown = dict(re.findall(r"([a-z][a-z/ ,]*[a-z]) +\W (\S+) ", run.outcome.out))
-    names = ["frames", "fps", "latency_ms", "lines_per_frame", "live_tracks_per_frame", "tracks", "track_length_median"]
-    names += ["stable_tracks_per_frame", "measured_per_frame"]
-    expected = [*(figures[name] for name in names), *figures["stage_ms"].values()]
-    titles = ["frames", "frames/s", "latency, median ms", "lines per frame", "live tracks per frame", "tracks"]
-    titles += ["median track length, frames", "stable tracks per frame", "measured per frame"]
-    titles += [*(f"{stage}, median ms" for stage in STAGES)]
-    assert set(shown) == set(titles)
-    assert [float(shown[title]) for title in titles] == pytest.approx(expected, abs=0.051)
+    row = r"^ (?:input|time|tracks|) +([a-z].*?)  +(\d[\d.]*)"
+    shown = dict(re.findall(row, run.outcome.out, re.MULTILINE))
+    titles = {
+        "frames": "frames",
+        "frames/s": "fps",
+        "latency, median": "latency_ms",
+        "lines per frame": "lines_per_frame",
+        "tracks per frame": "live_tracks_per_frame",
+        "of these stable": "stable_tracks_per_frame",
+        "of these measured, not detected": "measured_per_frame",
+        "all tracks": "tracks",
+        "seen in, median": "track_length_median",
+    }
+    expected = {title: figures[name] for title, name in titles.items()} | figures["stage_ms"]
+    assert {title: float(value) for title, value in shown.items()} == pytest.approx(expected, abs=0.051)
+    all_ms = sum(figures["stage_ms"].values())
+    shares = {stage: ms / all_ms for stage, ms in figures["stage_ms"].items()}
+    assert figures["stage_share"] == pytest.approx(shares, abs=1e-4)
 
 
 def test_recording_has_one_row_per_frame_and_nothing_else(entities: dict[str, dict[str, list[Any]]]) -> None:
@@ -125,7 +134,7 @@ def test_the_best_lines_alone_and_how_many_were_left_out(run: Run, clip: Path, t
     assert len(pq.read_table(tmp_path / "best.parquet", columns=["id"])["id"].unique()) == figures["ids"]
     assert figures["live_tracks_per_frame"] == 10
     assert figures["left_out_per_frame"] == pytest.approx(run.figures["live_tracks_per_frame"] - 10, abs=0.01)
-    assert re.search(rf"left out per frame +\W {figures['left_out_per_frame']:.1f} ", outcome.out)
+    assert re.search(rf"left out by --max-lines +{figures['left_out_per_frame']:.1f} ", outcome.out)
     assert run.figures["left_out_per_frame"] == 0
     assert "left out" not in run.outcome.out
 
@@ -163,7 +172,7 @@ def test_built_in_clip_without_an_input(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(tmp_path)
     outcome = command("--headless", "--max-frames", 2, "--resize", "160")
     assert outcome.code == 0
-    assert "rendered while it runs" in outcome.out
+    assert "built-in clip, 160x120 colour" in outcome.out
     (rrd,) = tmp_path.iterdir()
     entities = recorded(rrd)
     assert entities["/camera/tracks"]["frame"] == [0, 1]

@@ -64,7 +64,7 @@ def test_figures(seen, more_lines, times, frames, confirm_hits, skipped):
     assert summary.measured_share == pytest.approx(measured / max(observations, 1), abs=0.0000501)
     assert summary.left_out_per_frame == pytest.approx(statistics.mean(left_out), abs=0.00501)
     median = statistics.median(times[:frames])
-    assert summary.stage_ms == pytest.approx({"edges": median, "sinks": 2 * median}, abs=0.0005)
+    assert summary.stage_ms == pytest.approx({"edges": median, "sinks": 2 * median}, abs=0.000501)
     assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
 
 
