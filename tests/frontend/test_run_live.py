@@ -48,6 +48,14 @@ def test_progress_bar_shows_in_a_terminal(clip: Path, tmp_path: Path) -> None:
     assert warning.startswith("WARNING: ")  # on a line of its own, not behind the bar
 
 
+def test_a_first_start_says_that_it_compiles(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    with python(clip, "--save", tmp_path / "run.rrd", stdout=subprocess.PIPE) as child:
+        said = child.stdout.readline()
+        child.kill()
+    assert said == "compiling for this processor, once: about a quarter of a minute\n"
+
+
 @pytest.fixture(scope="module")
 def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     images = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in pictures(40)] * (VIDEO_FRAMES // 40)
