@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
-Bytes = bytes | memoryview
+Bytes = bytes | bytearray | memoryview
 
 _FFMPEG_LEVEL = "OPENCV_FFMPEG_LOGLEVEL"
 _AV_LOG_QUIET = "-8"
