@@ -49,7 +49,7 @@ class PosedClip:
     def __init__(self, folder: Path) -> None:
         self.name = folder.resolve().name
         rgb = folder / "rgb"
-        self._images = list_images(rgb if rgb.is_dir() else folder / "images", FRAMES_PER_SECOND)
+        self._images = list_images(rgb if rgb.is_dir() else folder / "images", FRAMES_PER_SECOND).rows
         is_icl = (folder / "calibration_matrix.txt").is_file()
         found = read_calibration(folder / ("calibration_matrix.txt" if is_icl else "calib.txt"))
         self._camera, self.K = found.camera, found.camera.matrix

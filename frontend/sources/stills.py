@@ -124,7 +124,7 @@ def decode_picture(data: Bytes, header: Header, autorotate: bool) -> Image:
         pixels = heif.decode_heic(data, header.exif)
     else:
         if header.codec == "TIFF":
-            data = _with_page_first(bytearray(data), header.pages[0])
+            data = _with_page_first(memoryview(bytearray(data)), header.pages[0])
         pixels = _pixels(data)
     image = frame_of(pixels)
     if header.codec == "JPEG" and np.all(image[-1, -1] == 128) and not _fills_its_image(data):
@@ -134,14 +134,14 @@ def decode_picture(data: Bytes, header: Header, autorotate: bool) -> Image:
     return upright(image, header.exif) if autorotate else image
 
 
-def decode_page(buffer: bytearray, page: tiff.Directory, autorotate: bool) -> Image:
-    """A page of a TIFF file in memory, which is written to."""
+def decode_page(buffer: memoryview, page: tiff.Directory, autorotate: bool) -> Image:
+    """A page of a TIFF file in writable memory, which is changed."""
     exif = _tiff_page(buffer, page)
     image = frame_of(_pixels(_with_page_first(buffer, page)))
     return upright(image, exif) if autorotate else image
 
 
-def _with_page_first(buffer: bytearray, page: tiff.Directory) -> bytearray:
+def _with_page_first(buffer: memoryview, page: tiff.Directory) -> memoryview:
     """Make a TIFF file begin with a page, and state no orientation: OpenCV turns by that, always."""
     file = tiff.Tiff(buffer)
     struct.pack_into(f"{file.order}{'Q' if file.wide else 'I'}", buffer, file.first_at, page.place)
