@@ -276,7 +276,7 @@ def _table_of_any_name(table: Path, images: set[Path], notes: list[str]) -> list
         return []
     names = [column for column in range(len(rows[0])) if _is_image_name(rows[0][column])]
     seen = [column for column in names if not says_depth(Path(rows[0][column]))]
-    for column in seen or names:
+    for column in seen:
         times = [c for c in (column - 1, column + 1) if 0 <= c < len(rows[0]) and is_number(rows[0][c])]
         paths = [_beside(row[column], table, images) for row in rows]
         kept = [(path, row[times[0]]) for path, row in zip(paths, rows, strict=True) if times and path is not None]
@@ -292,11 +292,10 @@ def _table_of_any_name(table: Path, images: set[Path], notes: list[str]) -> list
 
 
 def _beside(name: str, table: Path, images: set[Path]) -> Path | None:
-    """The image that a table names: from the table's folder, or by its name alone; None where there is none."""
-    path = table.parent / inside(name, table)
-    if images:
-        return next((p for p in (path, *(image.parent / path.name for image in list(images)[:1])) if p in images), None)
-    return path if path.is_file() else None
+    """The image that a table names, from the table's folder or, by a name without folders, among `images`."""
+    path = inside(name, table)
+    places = [table.parent / path, *(image.parent / path for image in list(images)[:1] if len(path.parts) == 1)]
+    return next((place for place in places if place in images or (not images and place.is_file())), None)
 
 
 def _is_image_name(text: str) -> bool:

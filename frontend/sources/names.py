@@ -101,9 +101,10 @@ def _readers(names: Sequence[str]) -> Iterable[tuple[str, _Read]]:
             unit = "nanoseconds" if max(widths) > 6 else "microseconds"
             yield f"seconds and {unit}", partial(_pair, part_ns=UNITS[unit])
     for last in (False, True):
-        yield "decimal seconds", partial(_number, last=last, unit="seconds", decimal=True)
         for unit in UNITS:
-            yield unit, partial(_number, last=last, unit=unit, decimal=False)
+            read = partial(_number, last=last, unit=unit)
+            decimal = unit == "seconds" and any("." in match[0] for name in names for match in _since_1970(name, unit))
+            yield f"{'decimal ' * decimal}{unit}", read
         yield from _from_zero(names, last)
 
 
@@ -120,9 +121,8 @@ def _from_zero(names: Sequence[str], last: bool) -> Iterable[tuple[str, _Read]]:
 
 
 def _counts(texts: Sequence[str]) -> bool:
-    """Whether numbers of one width count the images one by one."""
-    numbers = sorted(map(int, texts))
-    return len({len(text) for text in texts}) == 1 and all(b - a == 1 for a, b in pairwise(numbers))
+    """Whether numbers count the images one by one."""
+    return all(b - a == 1 for a, b in pairwise(sorted(map(int, texts))))
 
 
 def _date(name: str) -> _Found | None:
@@ -145,13 +145,17 @@ def _pair(name: str, *, part_ns: int) -> _Found | None:
     return int(found.group(1)) * SECOND + int(found.group(2)) * part_ns, _rest(name, found)
 
 
-def _number(name: str, *, last: bool, unit: str, decimal: bool) -> _Found | None:
-    """The first or last number of a name that is a time since 1970 in a unit."""
+def _since_1970(name: str, unit: str) -> list[re.Match[str]]:
+    """The numbers of a name that are times since 1970 in a unit; those of seconds may have decimals."""
     found = [
-        match
-        for match in _NUMBER.finditer(name)
-        if len(match[0]) < 40 and ("." in match[0]) == decimal and since_1970(int(match[0].split(".")[0])) == unit
+        match for match in _NUMBER.finditer(name) if len(match[0]) < 40 and ("." not in match[0] or unit == "seconds")
     ]
+    return [match for match in found if since_1970(int(match[0].split(".")[0])) == unit]
+
+
+def _number(name: str, *, last: bool, unit: str) -> _Found | None:
+    """The first or last time since 1970 of a name in a unit."""
+    found = _since_1970(name, unit)
     if not found:
         return None
     match = found[-1 if last else 0]

@@ -102,13 +102,12 @@ def _without_measured(groups: dict[tuple[str, str], list[Path]], notes: list[str
 
 
 def _paired(groups: dict[tuple[str, str], list[Path]]) -> list[tuple[str, str]]:
-    """The groups whose names have the same numbers as those of the largest, that one first; [] if there are none."""
+    """The groups whose names mostly have the numbers of the largest one's, that one first; [] if there are none."""
     largest = max(groups, key=lambda key: len(groups[key]))
     numbers = {key: {_moment(key, path) for path in group} for key, group in groups.items()}
+    most = numbers[largest]
     others = [
-        key
-        for key in groups
-        if key != largest and len(groups[key]) > 1 and 2 * len(numbers[key] & numbers[largest]) > len(numbers[key])
+        key for key in groups if key != largest and 2 * len(numbers[key] & most) > max(len(numbers[key]), len(most))
     ]
     return [largest, *others] if others and len(groups[largest]) > 1 else []
 
@@ -131,4 +130,4 @@ def _alternate(images: list[Path], one: list[Path], other: list[Path]) -> bool:
     """Whether two groups take turns in the order of the images."""
     first, both = set(one), {*one, *other}
     turns = [path in first for path in images if path in both]
-    return sum(a != b for a, b in pairwise(turns)) > 1
+    return sum(a != b for a, b in pairwise(turns)) >= len(turns) // 2
