@@ -39,7 +39,7 @@ def shape_of(data: Bytes) -> tuple[int, int, int]:
     properties = {kind: (place, end) for kind, place, end in _boxes(data, *found[b"iprp"])}
     listed = list(_boxes(data, *properties[b"ipco"]))
     sides = [struct.unpack_from(">II", data, place + 4) for kind, place, _ in listed if kind == b"ispe"]
-    width, height = max(sides, key=lambda side: side[0] * side[1])
+    width, height = max(sides, key=lambda side: side[0] * side[1], default=(0, 0))
     exif = 1
     for number in _of_main(data, found[b"pitm"][0], properties[b"ipma"][0]):
         if not 1 <= number <= len(listed):
@@ -63,7 +63,7 @@ def decode_heic(data: Bytes, exif: int) -> NDArray[Any]:
         import pillow_heif
     try:
         pixels = np.asarray(pillow_heif.open_heif(bytes(data), bgr_mode=True))  # upright
-    except (ValueError, EOFError, OSError, RuntimeError, SyntaxError) as error:
+    except (ValueError, LookupError, EOFError, OSError, RuntimeError, SyntaxError) as error:
         raise UndecodableError("cut or damaged image", str(error)) from error
     return upright(pixels, INVERSE.get(exif, exif))
 
