@@ -77,7 +77,7 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     root = Path(spec)
     try:
         if root.is_dir():
-            images = _images_in(root)
+            images = images_in(root)
             found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images)
             listing = found or _plain(images, fps, (root, root.parent))
         elif root.exists():
@@ -116,7 +116,7 @@ def _euroc(root: Path) -> Listing | None:
             return _listed(table, ",", images, "nanoseconds", "EuRoC sequence")
         if images.is_dir() and not (camera / "timestamps.txt").is_file():
             notes: list[str] = []
-            times = _named_by_time(_images_in(images), notes)
+            times = _named_by_time(images_in(images), notes)
             return times and replace(times, kind="EuRoC sequence")
     return None
 
@@ -139,7 +139,7 @@ def _kitti_raw(root: Path) -> Listing | None:
         camera = root / cameras[0]
         if len(cameras) > 1:
             notes.append(f"of the cameras {', '.join(cameras)} the first is taken: give the folder of another")
-    images = _images_in(camera / "data") if (camera / "data").is_dir() else []
+    images = images_in(camera / "data") if (camera / "data").is_dir() else []
     return _by_line(camera / "timestamps.txt", images, "KITTI sequence", notes) if images else None
 
 
@@ -306,7 +306,8 @@ def _is_image(path: Path) -> bool:
     return _is_image_name(path.name) and not path.name.startswith(".") and path.is_file()
 
 
-def _images_in(folder: Path) -> list[Path]:
+def images_in(folder: Path) -> list[Path]:
+    """The images of a folder by their suffix, in natural order."""
     return natsorted([path for path in folder.iterdir() if _is_image(path)], key=lambda path: path.name)
 
 
@@ -339,7 +340,7 @@ def _nothing_like(root: Path) -> str:
 def _nothing_in(root: Path) -> str:
     """Why a folder is none of images, and what to give."""
     children = list(root.iterdir())
-    inside = natsorted(child.name for child in children if child.is_dir() and _images_in(child))
+    inside = natsorted(child.name for child in children if child.is_dir() and images_in(child))
     inside = [name for name in inside if not says_depth(Path(name))] or inside
     if inside:
         return f"'{root}' holds no image; its folder '{inside[0]}' has some"
