@@ -19,6 +19,7 @@ _COLOUR = {"color", "colour", "colors", "colours", "rgb", "bgr"}
 _SEEN = _COLOUR | {"thermal", "flir", "lwir", "ir", "nir", "infrared", "gray", "grey", "mono", "left", "right"}
 _CAMERA = re.compile(r"^(.*?(?:cam|camera|image|img|view)[-_]?)(\d{1,2})([-_.].*\d.*)$", re.IGNORECASE)
 _MOST_CAMERAS = 8
+_SHARE = 0.8  # of all images; otherwise the folder has names of many kinds, as collections of photographs have
 _MOST_WORDS = 3  # in a name that says what is in a file, not what somebody works on
 
 
@@ -109,7 +110,9 @@ def _paired(groups: dict[tuple[str, str], list[Path]]) -> list[tuple[str, str]]:
     others = [
         key for key in groups if key != largest and 2 * len(numbers[key] & most) > max(len(numbers[key]), len(most))
     ]
-    return [largest, *others] if others and len(groups[largest]) > 1 else []
+    paired = [largest, *others]
+    most_of_all = sum(len(groups[key]) for key in paired) >= _SHARE * sum(map(len, groups.values()))
+    return paired if others and len(groups[largest]) > 1 and most_of_all else []
 
 
 def _moment(key: tuple[str, str], path: Path) -> tuple[str, ...]:

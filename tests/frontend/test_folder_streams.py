@@ -83,6 +83,13 @@ def test_series_of_photographs_stay_together(tmp_path: Path) -> None:
     assert [note for note in source.notes if "series like" in note]
 
 
+def test_collections_of_photographs_are_left_alone(tmp_path: Path) -> None:
+    names = [f"house_{room}_{k}.png" for room in ("bath", "bed", "hall", "kitchen", "garden") for k in range(2)]
+    write_numbered(tmp_path, [*names, *(f"street_{word}.png" for word in "abcdef")])
+    write_numbered(tmp_path, [f"{k}_{word}.png" for k in range(2) for word in ("near", "far")])
+    assert len(list(open_source(tmp_path))) == 20
+
+
 def test_folders_of_a_glob_are_told_apart(tmp_path: Path) -> None:
     write_numbered(tmp_path / "rgb", [f"{k}.png" for k in range(4)])
     for k in range(4):
