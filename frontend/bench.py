@@ -71,14 +71,12 @@ class ClipSource(Source):
     name: str = "bench"
 
     def __iter__(self) -> Iterator[Frame]:
-        from frontend.sources.reading import decode_image
+        from frontend.sources.stills import decode_encoded
 
         period = max(2 * len(self.files) - 2, 1)
         for index in range(self.frame_count):
             place = index % period
-            image = decode_image(self.files[min(place, period - place)])
-            assert image is not None
-            yield Frame(index, index * PERIOD_NS, image)
+            yield Frame(index, index * PERIOD_NS, decode_encoded(self.files[min(place, period - place)]))
 
 
 def build_parser() -> Parser:

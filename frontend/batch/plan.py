@@ -168,7 +168,7 @@ def _calibration_of(path: Path, settings: InputConfig) -> Path | None:
     if settings.calib is not None:
         return None
     try:
-        place = folder_of(list_images(path, settings.fps))
+        place = folder_of(list_images(path, settings.fps).rows)
         return place and calibration_beside(place)
     except (AirLineError, OSError):  # not images, or none that can be read: opening it will tell
         return None

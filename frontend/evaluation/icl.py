@@ -12,7 +12,8 @@ from airline.errors import InputError
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.listing import list_images
-from frontend.sources.reading import Image, decode_image
+from frontend.sources.reading import Image, UndecodableError
+from frontend.sources.stills import read_still
 
 FRAMES_PER_SECOND = 30
 _CORNER = 0.5  # px: the labels have (0, 0) at the corner of the top-left pixel, we at its centre
@@ -31,7 +32,7 @@ class LabelledClip:
 
     def __init__(self, folder: Path) -> None:
         self.name = folder.resolve().name
-        self._images = list_images(folder / "images", FRAMES_PER_SECOND)
+        self._images = list_images(folder / "images", FRAMES_PER_SECOND).rows
         self._truth = _chained(folder, [row.path.stem for row in self._images])
 
     def __len__(self) -> int:
@@ -45,12 +46,11 @@ class LabelledClip:
 def read_image(path: Path) -> Image:
     """(H, W[, 3]) grey or BGR; InputError where there is no image."""
     try:
-        image = decode_image(path.read_bytes())
+        return read_still(path.read_bytes()).image
     except OSError as error:
         raise InputError(f"cannot read '{path}': {error}") from error
-    if image is None:
-        raise InputError(f"'{path}' is no image that can be read: replace or remove it")
-    return image
+    except UndecodableError as error:
+        raise InputError(f"'{path}' is no image that can be read, {error}: replace or remove it") from error
 
 
 def read_numbers(path: Path, columns: int, separator: str | None) -> NDArray[np.float64]:

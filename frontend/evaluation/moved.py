@@ -69,7 +69,7 @@ def moved_photos(folder: Path, count: int = 6, frames: int = 40) -> list[Clip]:
     Raises:
         InputError: there is no such folder, no image in it, or a chosen one is damaged or too small.
     """
-    paths = [row.path for row in list_images(folder, FRAMES_PER_SECOND)]
+    paths = [row.path for row in list_images(folder, FRAMES_PER_SECOND).rows]
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int))
     label = folder.resolve().name
     return [MovedPhoto(f"{label}-{k + 1}", _read(paths[row]), frames, k) for k, row in enumerate(chosen)]

@@ -13,7 +13,7 @@ from airline.errors import InputError, from_extra
 from frontend.camera.calibration import fit_camera, read_calibration
 from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
 from frontend.frame import Frame
-from frontend.sources.listing import ImageRow, list_images
+from frontend.sources.listing import ImageRow, images_in, list_images
 
 with from_extra("evaluate"):
     from scipy.spatial.transform import Rotation, Slerp
@@ -49,7 +49,8 @@ class PosedClip:
     def __init__(self, folder: Path) -> None:
         self.name = folder.resolve().name
         rgb = folder / "rgb"
-        self._images = list_images(rgb if rgb.is_dir() else folder / "images", FRAMES_PER_SECOND)
+        images = rgb if rgb.is_dir() else folder / "images"
+        self._images = list_images(images, FRAMES_PER_SECOND).rows
         is_icl = (folder / "calibration_matrix.txt").is_file()
         found = read_calibration(folder / ("calibration_matrix.txt" if is_icl else "calib.txt"))
         self._camera, self.K = found.camera, found.camera.matrix
@@ -58,7 +59,7 @@ class PosedClip:
         if found.y_up:
             self.K[1, 1] *= -1
         if (folder / "groundtruth.txt").is_file():
-            self._images, self.poses = _timed_poses(folder / "groundtruth.txt", self._images)
+            self._images, self.poses = _timed_poses(folder / "groundtruth.txt", images_in(images))
         elif is_icl:
             self.poses = _poses(read_numbers(folder / "poses.txt", 8, None)[:, 1:])
         else:
@@ -81,20 +82,20 @@ def _poses(rows: Array) -> Array:
     return np.asarray(np.concatenate([Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3, None]], axis=2))
 
 
-def _timed_poses(path: Path, images: list[ImageRow]) -> tuple[list[ImageRow], Array]:
+def _timed_poses(path: Path, images: list[Path]) -> tuple[list[ImageRow], Array]:
     """The images taken between the first and the last pose, with their times and (N, 3, 4) poses."""
     truth = read_numbers(path, 8, None)
     try:
-        stamps = np.array([float(row.path.stem) for row in images])
+        stamps = np.array([float(path.stem) for path in images])
     except ValueError:
         raise InputError(f"images beside '{path}' must be named by their stamps in seconds") from None
     if len(truth) < 2 or (np.diff(truth[:, 0]) <= 0).any():
         raise InputError(f"{path} is malformed: it must be two poses or more in the order of time")
     inside = (stamps >= truth[0, 0]) & (stamps <= truth[-1, 0])
-    stamps, images = stamps[inside], [row for row, there in zip(images, inside, strict=True) if there]
+    stamps, images = stamps[inside], [path for path, there in zip(images, inside, strict=True) if there]
     if not images:
         raise InputError(f"no image beside '{path}' was taken while there are poses")
     places = np.stack([np.interp(stamps, truth[:, 0], column) for column in truth[:, 1:4].T], axis=1)
     turns = Slerp(truth[:, 0], Rotation.from_quat(truth[:, 4:]))(stamps).as_matrix()
-    rows = [ImageRow(row.path, round(stamp * 1e9)) for row, stamp in zip(images, stamps.tolist(), strict=True)]
+    rows = [ImageRow(path, round(stamp * 1e9)) for path, stamp in zip(images, stamps.tolist(), strict=True)]
     return rows, np.concatenate([turns, places[:, :, None]], axis=2)

@@ -1,11 +1,13 @@
-"""Which images a folder, a glob pattern or a file names, and their times, from the first of these layouts that fits.
+"""Which images a folder, a pattern or a file names, and their times, from the first of these layouts that fits.
 
 - EuRoC / ASL: `mav0/cam0/data.csv` ("stamp in ns,file name") and `mav0/cam0/data/`; the sequence, `mav0`, `cam0` or
   `data` may be given.
 - TUM RGB-D: `rgb.txt` ("stamp in s  path"); the sequence or its `rgb` folder may be given.
-- KITTI: `times.txt` (one stamp in s per image) in the folder of images or in the one above it; or with rows "number
-  stamp in s  exposure", as DSO and TUM's monocular data sets have it.
-- Images named by their stamp in nanoseconds.
+- KITTI, raw: `timestamps.txt` (a date per image) beside `data/`; the drive, `image_00` or `data` may be given.
+- KITTI, odometry: `times.txt` (one stamp in s per image) in the folder of images or in the one above it; or with rows
+  "number  stamp in s  exposure", as DSO and TUM's monocular data sets have it.
+- Images named by their time: since 1970 in a unit that its size tells, dates, or decimal seconds; see `names`.
+- Any other table of text, in the folder or above, with rows "time  file name".
 - Any other images: numbered by a frame rate.
 """
 
@@ -13,19 +15,31 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Iterator
-from decimal import Decimal, InvalidOperation
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import NamedTuple
 
 from natsort import natsorted
 
 from airline.errors import ConfigError, InputError
+from frontend.sources.names import Times, plausible, since_1970, times_in
+from frontend.sources.streams import choose_frames, says_depth
+from frontend.sources.tables import fields_of, inside, is_number, lines_of, stamps_of, without_heading
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
-_NS_DIGITS = 16  # a stamp in ns has 19 digits since 2001; 16 are four months of a clock that starts at zero
-_MAX_STAMP = 2**63 - 1
+IMAGE_SUFFIXES = frozenset(
+    {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".dib", ".tif", ".tiff", ".webp"}
+    | {".pbm", ".pgm", ".ppm", ".pnm", ".pam", ".gif", ".avif", ".heic", ".heif"}
+)
+_LOGS = {".mcap", ".bag", ".db3"}
+_VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"}
+_PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
+_MOST_TABLES = 100
+_EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
+_OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
 
 
 class ImageRow(NamedTuple):
@@ -35,11 +49,27 @@ class ImageRow(NamedTuple):
     stamp_ns: int
 
 
-def list_images(spec: str | os.PathLike[str], fps: float) -> list[ImageRow]:
-    """The images of a folder, a glob pattern or a single file, in time order.
+@dataclass(frozen=True)
+class Listing:
+    """The images of an input in time order.
+
+    Attributes:
+        rows: one or more.
+        kind: for people, what they were taken for.
+        notes: for people, a sentence on each guess.
+    """
+
+    rows: list[ImageRow]
+    kind: str = "images"
+    notes: tuple[str, ...] = ()
+
+
+def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
+    """The images of a folder, a pattern (`*.png`, `%06d.png`) or a single file, in time order.
 
     Raises:
-        InputError: nothing is there, or a file of times is malformed or out of order.
+        InputError: nothing is there, a file of times is malformed or out of order, two images have the same time, or
+            it cannot be told which pictures are the frames.
         ConfigError: the frame rate is impossible.
     """
     if not 1e-3 <= fps <= 1e6:
@@ -47,120 +77,301 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> list[ImageRow]:
     root = Path(spec)
     try:
         if root.is_dir():
-            rows = _euroc(root) or _tum(root) or _kitti(root) or _plain(_images_in(root), fps)
+            images = images_in(root)
+            found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images)
+            listing = found or _plain(images, fps, (root, root.parent))
+        elif root.exists():
+            listing = replace(_named_by_time([root], []) or Listing([ImageRow(root, 0)]), kind="one image")
         else:
-            files = [root] if root.exists() else [Path(name) for name in glob.glob(str(root), recursive=True)]  # noqa: PTH207
-            rows = _plain([file for file in natsorted(files, key=str) if _is_image(file)], fps)
+            images = _matching(str(root))
+            parents = list(dict.fromkeys(path.parent for path in images))
+            listing = _plain(images, fps, (parents[0], parents[0].parent) if len(parents) == 1 else ())
     except (OSError, ValueError) as error:  # no permission; a name that no file can have
         raise InputError(f"cannot read '{root}': {error}") from error
-    if not rows:
-        if not root.is_dir():
-            magic = glob.has_magic(str(root))
-            raise InputError(f"no image matches '{root}'" if magic else f"there is no folder or image '{root}'")
-        inside = natsorted(child.name for child in root.iterdir() if child.is_dir() and _images_in(child))
-        hint = f"; its folder '{inside[0]}' has some" if inside else ": give a folder of images or a video file"
-        raise InputError(f"'{root}' holds no image{hint}")
-    for before, after in pairwise(rows):
-        if after.stamp_ns <= before.stamp_ns:
+    if listing is None:
+        raise InputError(_nothing_in(root) if root.is_dir() else _nothing_like(root))
+    for before, after in pairwise(listing.rows):
+        if after.stamp_ns == before.stamp_ns:
+            raise InputError(
+                f"'{before.path.name}' and '{after.path.name}' of '{root}' have the same time: name one of several "
+                "cameras by a glob pattern, or correct the times"
+            )
+        if after.stamp_ns < before.stamp_ns:
             raise InputError(
                 f"the times of '{root}' are out of order: '{after.path.name}' is not later than '{before.path.name}'"
             )
-    return rows
+    return listing
 
 
-def folder_of(rows: list[ImageRow]) -> Path | None:
+def folder_of(rows: Sequence[ImageRow]) -> Path | None:
     """The folder of the images, beside which their calibration may lie; None where they are from several."""
     first, last = rows[0].path.parent, rows[-1].path.parent
     return first if first == last else None
 
 
-def _euroc(root: Path) -> list[ImageRow]:
+def _euroc(root: Path) -> Listing | None:
     for camera in (root / "mav0" / "cam0", root / "cam0", root, *([root.parent] if root.name == "data" else [])):
         table, images = camera / "data.csv", camera / "data"
         if table.is_file():
-            return _listed(table, ",", images, 1)
-        if images.is_dir():
-            return _named_by_stamp(_images_in(images))
-    return []
+            return _listed(table, ",", images, "nanoseconds", "EuRoC sequence")
+        if images.is_dir() and not (camera / "timestamps.txt").is_file():
+            notes: list[str] = []
+            times = _named_by_time(images_in(images), notes)
+            return times and replace(times, kind="EuRoC sequence")
+    return None
 
 
-def _tum(root: Path) -> list[ImageRow]:
+def _tum(root: Path) -> Listing | None:
     for sequence in (root, root.parent) if root.name == "rgb" else (root,):
         table = sequence / "rgb.txt"
         if table.is_file():
-            return _listed(table, None, sequence, 10**9)
-    return []
+            return _listed(table, None, sequence, "seconds", "TUM RGB-D sequence")
+    return None
 
 
-def _kitti(root: Path) -> list[ImageRow]:
-    images = _images_in(root)
+def _kitti_raw(root: Path) -> Listing | None:
+    camera = root.parent if root.name == "data" else root
+    notes: list[str] = []
+    if not (camera / "timestamps.txt").is_file():
+        cameras = natsorted(path.parent.name for path in root.glob("image_*/timestamps.txt"))
+        if not cameras:
+            return None
+        camera = root / cameras[0]
+        if len(cameras) > 1:
+            notes.append(f"of the cameras {', '.join(cameras)} the first is taken: give the folder of another")
+    images = images_in(camera / "data") if (camera / "data").is_dir() else []
+    return _by_line(camera / "timestamps.txt", images, "KITTI sequence", notes) if images else None
+
+
+def _timed_by_line(root: Path, images: list[Path]) -> Listing | None:
+    """A table with a time for each image."""
     for table in (root / "times.txt", root.parent / "times.txt"):
         if images and table.is_file():
-            rows = [(line, line.split()) for line in _lines(table)]
-            stamps = [_nanoseconds(row[1] if len(row) == 3 else line, table, 10**9) for line, row in rows]
-            if len(stamps) != len(images):
-                raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
-            return [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]
+            return _by_line(table, images, "KITTI sequence", [])
+    for name in _OTHER_TIMES:
+        table = root / name
+        if images and table.is_file() and not any(map(_is_image_name, fields_of("\n".join(lines_of(table)[:2])))):
+            return _by_line(table, images, f"images with times in '{name}'", [])
+    return None
+
+
+def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Listing:
+    """A time for each image in order, or by the id, which is its name or number, before it.
+
+    Raises:
+        InputError: the number of times differs, and the images' names do not tell which are theirs.
+    """
+    images = choose_frames(images, notes)
+    lines = lines_of(table)
+    if lines and re.match(r"\d{4}-\d\d-\d\d[ T]\d\d:", lines[0]):
+        rows = [[line] for line in lines]
+    else:
+        rows = without_heading([fields_of(line) for line in lines])
+    ids: list[str] = []
+    if rows and len(rows[0]) > 1 and _are_ids([row[0] for row in rows], images):
+        ids, rows = [row[0] for row in rows], [row[1:] for row in rows]
+        if not all(rows):
+            raise InputError(f"'{table}' has a line without a time")
+    stamps = stamps_of([row[0] for row in rows], table, "seconds", notes)
+    numbers = [_whole(path.stem) for path in images]
+    known = {_whole(text): stamp for text, stamp in zip(ids, stamps, strict=bool(ids))} if ids else {}
+    if known and all(number in known for number in numbers):
+        if len(known) != len(images):
+            notes.append(f"'{table.name}' has {len(known)} times for {len(images)} images: each takes that of its id")
+        return _in_order([ImageRow(path, known[n]) for path, n in zip(images, numbers, strict=True)], kind, notes)
+    if len(stamps) == len(images):
+        rows_ = [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]
+        return Listing(rows_, kind, tuple(notes))
+    if None not in numbers and len(stamps) > len(images) and max(map(_number, numbers)) < len(stamps):
+        notes.append(
+            f"'{table.name}' has {len(stamps)} times for {len(images)} images: each takes that of its number, from 0"
+        )
+        rows_ = [ImageRow(path, stamps[_number(n)]) for path, n in zip(images, numbers, strict=True)]
+        return _in_order(rows_, kind, notes)
+    raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
+
+
+def _are_ids(texts: list[str], images: list[Path]) -> bool:
+    """Whether a column names the images, or counts them."""
+    numbers = [_whole(text) for text in texts]
+    if None in numbers:
+        return False
+    if {_whole(path.stem) for path in images} <= set(numbers):
+        return True
+    return all(b == a + 1 for a, b in pairwise(map(_number, numbers)))
+
+
+def _whole(text: str) -> int | None:
+    return int(text) if re.fullmatch(r"[0-9]{1,30}", text) else None
+
+
+def _number(value: int | None) -> int:
+    return 0 if value is None else value
+
+
+def _plain(images: list[Path], fps: float, folders: tuple[Path, ...]) -> Listing | None:
+    """Images without a layout: times in their names, or in a table, or by the frame rate."""
+    notes: list[str] = []
+    images = choose_frames(images, notes)
+    found = (_named_by_time(images, notes) if images else None) or _in_tables(images, folders, notes)
+    if found is not None or not images:
+        return found
+    if len(images) > 1:
+        notes.append(f"images without times are numbered by {fps:g} frames/s: --fps gives another rate")
+    return Listing([ImageRow(path, round(i * 1e9 / fps)) for i, path in enumerate(images)], "images", tuple(notes))
+
+
+def _named_by_time(images: list[Path], notes: list[str]) -> Listing | None:
+    times = times_in([path.stem for path in images])
+    if times is None:
+        return None
+    _note_odd(times, images, notes)
+    if times.words != "nanoseconds":
+        notes.append(f"times are from the images' names, taken for {times.words} by their form and size")
+    rows = [ImageRow(images[place], stamp) for place, stamp in times.stamps.items()]
+    return _in_order(rows, "images named by their time", notes)
+
+
+def _note_odd(times: Times, images: list[Path], notes: list[str]) -> None:
+    odd = [path.name for place, path in enumerate(images) if place not in times.stamps]
+    if odd:
+        notes.append(f"left out of {len(images)} images for want of a time in the name: {_some(odd)}")
+
+
+def _in_order(rows: list[ImageRow], kind: str, notes: list[str]) -> Listing:
+    ordered = sorted(rows, key=lambda row: row.stamp_ns)
+    if ordered != rows:
+        notes.append("images are in the order of their times, not of their names")
+    return Listing(ordered, kind, tuple(notes))
+
+
+def _in_tables(images: list[Path], folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
+    """The table of any name, in the folder or the one above, that gives times to most of the images."""
+    best: list[ImageRow] = []
+    chosen, said = None, list[str]()
+    for folder in folders if images else folders[:1]:
+        for table in natsorted([*folder.glob("*.txt"), *folder.glob("*.csv")], key=str)[:_MOST_TABLES]:
+            if not table.is_file() or table.stat().st_size > _EACH_MOST:
+                continue
+            words: list[str] = []
+            try:
+                rows = _table_of_any_name(table, set(images), words)
+            except InputError:  # no table of times
+                continue
+            if len(rows) > len(best):
+                best, chosen, said = rows, table, words
+    if chosen is None or 2 * len(best) < len(images):
+        return None
+    missing = len(images) - len(best)
+    if missing > 0:
+        said.append(f"{missing} images are left out, for '{chosen.name}' does not list them")
+    said.append(f"times are from '{chosen.name}'")
+    return Listing(best, f"images with times in '{chosen.name}'", (*notes, *said))
+
+
+def _table_of_any_name(table: Path, images: set[Path], notes: list[str]) -> list[ImageRow]:
+    """Rows "time  name", "name  time", or pairs "time  name" of colour and depth; [] for another kind of table."""
+    rows = without_heading([fields_of(line) for line in lines_of(table)])
+    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
+        return []
+    names = [column for column in range(len(rows[0])) if _is_image_name(rows[0][column])]
+    seen = [column for column in names if not says_depth(Path(rows[0][column]))]
+    for column in seen:
+        times = [c for c in (column - 1, column + 1) if 0 <= c < len(rows[0]) and is_number(rows[0][c])]
+        paths = [_beside(row[column], table, images) for row in rows]
+        kept = [(path, row[times[0]]) for path, row in zip(paths, rows, strict=True) if times and path is not None]
+        if not kept:
+            continue
+        stamps = stamps_of([text for _, text in kept], table, "seconds", notes)
+        whole = [int(text) for _, text in kept if re.fullmatch(r"[0-9]{1,30}", text)]
+        if len(whole) == len(kept) and any(since_1970(number) is None for number in whole):
+            continue  # counters or classes
+        if plausible(stamps) and all(a < b for a, b in pairwise(stamps)):
+            return [ImageRow(path, stamp) for (path, _), stamp in zip(kept, stamps, strict=True)]
     return []
 
 
-def _plain(images: list[Path], fps: float) -> list[ImageRow]:
-    return _named_by_stamp(images) or [ImageRow(path, round(i * 1e9 / fps)) for i, path in enumerate(images)]
+def _beside(name: str, table: Path, images: set[Path]) -> Path | None:
+    """The image that a table names, from the table's folder or, by a name without folders, among `images`."""
+    path = inside(name, table)
+    places = [table.parent / path, *(image.parent / path for image in list(images)[:1] if len(path.parts) == 1)]
+    return next((place for place in places if place in images or (not images and place.is_file())), None)
 
 
-def _named_by_stamp(images: list[Path]) -> list[ImageRow]:
-    stems = [path.stem for path in images]
-    if not all(stem.isascii() and stem.isdigit() and len(stem) >= _NS_DIGITS for stem in stems):
-        return []
-    return [ImageRow(path, _nanoseconds(path.stem, path, 1)) for path in images]
+def _is_image_name(text: str) -> bool:
+    return Path(text).suffix.lower() in IMAGE_SUFFIXES
 
 
 def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    return _is_image_name(path.name) and not path.name.startswith(".") and path.is_file()
 
 
-def _images_in(folder: Path) -> list[Path]:
+def images_in(folder: Path) -> list[Path]:
+    """The images of a folder by their suffix, in natural order."""
     return natsorted([path for path in folder.iterdir() if _is_image(path)], key=lambda path: path.name)
 
 
-def _lines(table: Path) -> Iterator[str]:
-    """Lines that are neither empty nor a comment."""
-    try:
-        text = table.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"'{table}' is not a text file") from error
-    return (line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+def _matching(pattern: str) -> list[Path]:
+    """The images that a glob pattern or one with a number (`%06d`, `####`) means."""
+    files = [Path(name) for name in glob.glob(pattern, recursive=True)]  # noqa: PTH207
+    if not files and _PRINTF.search(pattern):
+        parts, end = [("", "")], 0
+        for found in _PRINTF.finditer(pattern):
+            plain = pattern[end : found.start()]
+            width = len(found[3]) if found[3] else int(found[2] or 1) if found[1] != "%" else 0
+            parts += [(re.escape(plain), glob.escape(plain)), (rf"\d{{{width},}}", "*") if width else ("%", "%")]
+            end = found.end()
+        parts.append((re.escape(pattern[end:]), glob.escape(pattern[end:])))
+        expression = re.compile("".join(part[0] for part in parts))
+        names = glob.glob("".join(part[1] for part in parts))  # noqa: PTH207
+        files = [Path(name) for name in names if expression.fullmatch(name)]
+    return natsorted([file for file in files if _is_image(file)], key=str)
 
 
-def _listed(table: Path, separator: str | None, folder: Path, per_unit: int) -> list[ImageRow]:
+def is_pattern(spec: str) -> bool:
+    """Whether a text that names no file is a pattern for several."""
+    return bool(glob.has_magic(spec) or _PRINTF.search(spec))
+
+
+def _nothing_like(root: Path) -> str:
+    return f"no image matches '{root}'" if is_pattern(str(root)) else f"there is no folder or image '{root}'"
+
+
+def _nothing_in(root: Path) -> str:
+    """Why a folder is none of images, and what to give."""
+    children = list(root.iterdir())
+    inside = natsorted(child.name for child in children if child.is_dir() and images_in(child))
+    inside = [name for name in inside if not says_depth(Path(name))] or inside
+    if inside:
+        return f"'{root}' holds no image; its folder '{inside[0]}' has some"
+    for suffixes, what in ((_LOGS, "recordings"), (_VIDEOS, "videos")):
+        found = natsorted(child.name for child in children if child.suffix.lower() in suffixes)
+        if found:
+            more = f", or all of them to python -m frontend.batch: '{root}/*{Path(found[0]).suffix}'"
+            return f"'{root}' holds no image but {what}: name one, such as '{found[0]}'{more if found[1:] else ''}"
+    others = Counter(child.suffix for child in children if child.suffix and child.is_file()).most_common(1)
+    has = f" but files '{others[0][0]}'" if others else ""
+    return f"'{root}' holds no image{has}: give a folder of images or a video file"
+
+
+def _listed(table: Path, separator: str | None, folder: Path, unit: str, kind: str) -> Listing:
     """The rows "time, file name" of a table."""
     rows = []
-    for line in _lines(table):
+    for line in lines_of(table):
         fields = line.split(separator, maxsplit=1)
         if len(fields) != 2:
             raise InputError(f"'{table}' has a line that is not a time and a file name: {line[:60]!r}")
-        stamp, name = fields
-        rows.append(ImageRow(folder / _inside(name.strip(), table), _nanoseconds(stamp, table, per_unit)))
+        rows.append([field.strip() for field in fields])
+    rows = without_heading(rows)
     if not rows:
         raise InputError(f"'{table}' lists no image")
-    return rows
+    paths = [folder / inside(name, table) for _, name in rows]
+    notes: list[str] = []
+    stamps = stamps_of([stamp for stamp, _ in rows], table, unit, notes)
+    return Listing([ImageRow(path, stamp) for path, stamp in zip(paths, stamps, strict=True)], kind, tuple(notes))
 
 
-def _nanoseconds(text: str, table: Path, per_unit: int) -> int:
-    """Exact: 1305031102.175304 s has more digits than a float holds."""
-    try:
-        value = Decimal(text)
-    except InvalidOperation:
-        value = Decimal("nan")
-    limit = _MAX_STAMP // per_unit
-    if not (value.is_finite() and -limit <= value <= limit):  # before multiplying, which may overflow
-        raise InputError(f"'{table}' has a time that cannot be read: {text[:60]!r}")
-    return int((value * per_unit).to_integral_value())
-
-
-def _inside(name: str, table: Path) -> PurePosixPath:
-    """A file name out of a table, which must not lead out of the sequence's folder."""
-    path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
-        raise InputError(f"'{table}' names a file outside its folder: {name[:60]!r}")
-    return path
+def _some(names: list[str]) -> str:
+    """Three of them, and how many more."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(f"'{name}'" for name in names[:3]) + more

@@ -66,19 +66,6 @@ def as_frame_image(pixels: NDArray[Any]) -> Image | None:
     return np.ascontiguousarray(pixels)
 
 
-def decode_image(data: bytes) -> Image | None:
-    """Decode an image file held in memory (PNG, JPEG, BMP, TIFF, WebP, PNM), keeping grey and 16 bits as they are.
-
-    None for bytes that are no image, or a cut or damaged one.
-    """
-    try:
-        with quiet():
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # of no bytes, too
-        return None
-    return None if pixels is None else as_frame_image(pixels)
-
-
 def read_image(capture: cv2.VideoCapture) -> tuple[int, Image] | None:
     """The next picture of a camera, stream or file, and when it came, in ns of the monotonic clock.
 

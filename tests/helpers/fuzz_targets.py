@@ -15,7 +15,8 @@ from airline.network.weights import load_ranges, load_weights
 from frontend.camera.calibration import read_calibration
 from frontend.cli.settings import RunConfig, dump, load
 from frontend.protocols import FrameResult
-from frontend.sources.reading import UndecodableError, decode_image
+from frontend.sources.reading import UndecodableError
+from frontend.sources.stills import read_still
 from logs import read_tracks
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still
@@ -45,7 +46,7 @@ def all_targets(folder: Path) -> dict[str, Target]:
         **{f"message {schema} {encoding}": _message(schema, encoding) for schema, encoding in MESSAGES},
         "live message": ([encoded()], decode),
         "tracks in JSON": ([encode_tracks(_frame(3))], decode_tracks),
-        "image file": (_image_files(), decode_image),
+        "image file": (_image_files(), _read_still),
         "settings": of_file([dump(RunConfig()).encode()], "s.toml", lambda path: load(path, {})),
         "calibration": of_file(_calibrations(), "c.yaml", lambda path: read_calibration(path, "image_2")),
         "weights": of_file([_weights()], "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
@@ -73,9 +74,14 @@ def _frame(number: int, rows: int = 5):
     return made_tracks(number, number * 10**7, np.arange(rows), np.random.default_rng(number), lost=1)
 
 
+def _read_still(data: bytes) -> None:
+    with suppress(UndecodableError):
+        read_still(data)
+
+
 def _image_files() -> list[bytes]:
     image = cv2.resize(np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8), (32, 24))
-    suffixes = (".png", ".jpg", ".webp", ".bmp", ".tiff", ".pgm", ".ppm")
+    suffixes = (".png", ".jpg", ".webp", ".bmp", ".tiff", ".pgm", ".ppm", ".gif", ".avif")
     return [cv2.imencode(suffix, image[:, :, 0] if suffix == ".pgm" else image)[1].tobytes() for suffix in suffixes]
 
 

@@ -1,0 +1,299 @@
+"""When the images of a folder were taken, and in which order, as people and programs name them."""
+
+from __future__ import annotations
+
+import random
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import pytest
+
+from airline.errors import InputError
+from frontend.sources import open_source
+from frontend.sources.folder import FolderSource
+from tests.helpers.numbered import number_of, numbered, write_numbered
+
+START = 1560004885
+FPS_NOTE = "numbered by 30 frames/s: --fps"
+
+
+def read(spec: object) -> tuple[list[int], list[int], FolderSource]:
+    """Numbers in the pictures, stamps in ns, and the source."""
+    source = open_source(str(spec))
+    assert isinstance(source, FolderSource)
+    frames = list(source)
+    assert source.frame_count == len(frames)
+    assert [frame.index for frame in frames] == list(range(len(frames)))
+    assert (source.first_stamp_ns, source.last_stamp_ns) == (frames[0].stamp_ns, frames[-1].stamp_ns)
+    return [number_of(frame.image) for frame in frames], [frame.stamp_ns for frame in frames], source
+
+
+def said(source: FolderSource, words: str) -> bool:
+    return sum(words in note for note in source.notes) == 1
+
+
+def seconds(number: int) -> Decimal:
+    return Decimal(START) + Decimal(number) * Decimal("0.0625")
+
+
+NAMES = {  # how a time in seconds is written, and the words for it
+    "s": (lambda t: f"{START + int((t - START) * 16)}", "seconds"),
+    "ms": (lambda t: f"{int(t * 1000)}", "milliseconds"),
+    "us": (lambda t: f"{int(t * 10**6)}", "microseconds"),
+    "us after words": (lambda t: f"cam0_frame_{int(t * 10**6)}", "microseconds"),
+    "us after a counter": (lambda t: f"{int((t - START) * 16):06d}-{int(t * 10**6)}", "microseconds"),
+    "us before words": (lambda t: f"{int(t * 10**6)}.color", "microseconds"),
+    "decimal": (lambda t: f"{t:.6f}", "decimal seconds"),
+    "trailing zeros lost": (lambda t: f"{float(t)}", "decimal seconds"),
+    "whole seconds without a point": (lambda t: f"{float(t):.16g}", "decimal seconds"),
+    "decimal after words": (lambda t: f"frame_{t:.6f}", "decimal seconds"),
+    "decimal after a number": (lambda t: f"cam0_{t:.6f}", "decimal seconds"),
+    "pair": (lambda t: f"{int(t)}_{int(t % 1 * 10**9):09d}", "seconds and their fractions"),
+    "pair of s and us": (lambda t: f"{int(t)}-{int(t % 1 * 10**6):06d}", "seconds and their fractions"),
+    "pair without zeros": (lambda t: f"{int(t)}_{int(t % 1 * 10**9)}", "seconds and nanoseconds"),
+    "date": (lambda t: f"2019-06-08T14-41-{int(t) - START + 25:02d}.{int(t % 1 * 10**6):06d}", "dates"),
+    "compact date": (lambda t: f"20190608_1441{int(t) - START + 25:02d}_{int(t % 1 * 10**9):09d}", "dates"),
+}
+
+
+@pytest.mark.parametrize("form", NAMES)
+def test_times_in_names(tmp_path: Path, form: str) -> None:
+    name, words = NAMES[form]
+    step = 1 if form == "s" else 1 / 16
+    whole = 1000 if form == "ms" else 10**9
+    expected = [int((START + Decimal(step) * k) * whole) * (10**9 // whole) for k in range(40)]
+    write_numbered(tmp_path, [f"{name(seconds(k))}.png" for k in range(40)])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(40))
+    assert stamps == expected
+    assert said(source, f"taken for {words} by")
+    assert source.kind == "images named by their time"
+    assert not said(source, FPS_NOTE)
+
+
+def test_nanoseconds_are_nothing_to_note(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{START * 10**9 + 123 + k}.png" for k in (0, 62_500_000, 125_000_001)])
+    assert read(tmp_path)[1] == [START * 10**9 + 123 + k for k in (0, 62_500_000, 125_000_001)]
+    assert read(tmp_path)[2].notes == []
+
+
+def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
+    texts = ["02.0", "02.075", "02.15", "02.225", "02.3", "02.375", "10.5", "10.55"]
+    write_numbered(tmp_path, [f"{text}.png" for text in texts])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(8))
+    assert stamps == [int(Decimal(text) * 10**9) for text in texts]
+    assert said(source, "order of their times")
+    assert read(tmp_path / "*.png")[:2] == (numbers, stamps)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{k:06d}" for k in range(12)],
+        [f"{k}" for k in range(95, 107)],
+        [f"shot01.{k:04d}" for k in range(12)],  # renderers
+        [f"1.{k}" for k in range(1, 13)],
+        [f"{START}_{k:06d}" for k in range(12)],  # when the recording began, and a counter
+        [f"{START}_{k}" for k in range(12)],
+        [f"20190608_144125_{k:03d}" for k in range(12)],
+        [f"2019-06-08 {k}" for k in range(12)],
+        [f"{START * 1000}_{k}" for k in range(12)],
+        [f"{k:010d}" for k in range(12)],
+        [f"{700 + k}x480" for k in range(12)],
+    ],
+)
+def test_counters_are_no_times(tmp_path: Path, names: list[str]) -> None:
+    write_numbered(tmp_path, [f"{name}.png" for name in names])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(12))
+    assert stamps == [round(k * 1e9 / 30) for k in range(12)]
+    assert source.kind == "images"
+    assert said(source, FPS_NOTE)
+
+
+def test_the_rate_that_is_given_is_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, ["a.png", "b.png"])
+    source = FolderSource(tmp_path, fps=12.5)
+    assert source.notes == ["images without times are numbered by 12.5 frames/s: --fps gives another rate"]
+    assert FolderSource(tmp_path / "a.png").notes == []
+
+
+def test_odd_files_among_stamps_are_left_out_and_named(tmp_path: Path) -> None:
+    names = [f"{START * 10**6 + k * 62_500}.png" for k in range(20)]
+    write_numbered(tmp_path, [*names, "thumb.jpg", "12.png"])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(20))
+    assert stamps[1] - stamps[0] == 62_500_000
+    assert said(source, "left out of 22 images for want of a time in the name: '12.png', 'thumb.jpg'")
+
+
+def test_equal_times_are_refused(tmp_path: Path) -> None:
+    write_numbered(tmp_path, ["1.50.png", "1.5.png", "1.6.png"])
+    with pytest.raises(InputError, match=r"'1\.5\.png' and '1\.50\.png' of .* have the same time"):
+        open_source(tmp_path)
+
+
+def test_two_cameras_in_one_folder(tmp_path: Path) -> None:
+    """Of pictures of the same moments the first camera's are taken; of other moments they would be mixed."""
+    for folder, late in (("same", 0), ("other", 7)):
+        names = [f"cam{c}_{START * 1000 + 20 * k + late * c}.png" for c in (0, 1) for k in range(3)]
+        write_numbered(tmp_path / folder, names)
+    numbers, _, source = read(tmp_path / "same")
+    assert numbers == [0, 1, 2]
+    assert said(source, "3 like 'cam1_1560004885000.png' are left out: a glob pattern chooses others")
+    with pytest.raises(InputError, match=r"several cameras .*cam0_\*.*by a glob") as caught:
+        open_source(tmp_path / "other")
+    assert "\n" not in str(caught.value)
+    for folder in ("same", "other"):
+        assert read(tmp_path / folder / "cam1*")[0] == [3, 4, 5]
+
+
+TABLES = {  # name, rows, with the stamps of 0.1 s steps
+    "color.txt": lambda k, t: f"{t} color/{k}.png",
+    "images.txt": lambda k, t: f"{t},color/{k}.png",
+    "stamps.csv": lambda k, t: f"{k}.png;{t}",
+    "frames.txt": lambda k, t: f"{int(t * 10**6)} {k}.png",
+    "associations.txt": lambda k, t: f"{t + Decimal('0.01')} depth/{k}.png {t} color/{k}.png",
+}
+
+
+@pytest.mark.parametrize("given", ["color", ""])
+@pytest.mark.parametrize("table", TABLES)
+def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
+    times = [Decimal(START) + Decimal(k) / 10 for k in range(12)]
+    write_numbered(tmp_path / "color", [f"{k}.png" for k in range(12)])
+    write_numbered(tmp_path / "depth", [f"{k}.png" for k in range(12)])
+    lines = [TABLES[table](k, t) for k, t in enumerate(times)]
+    (tmp_path / table).write_text("\n".join(["# heading", *lines]))
+    (tmp_path / "depth.txt").write_text("\n".join(f"{t} depth/{k}.png" for k, t in enumerate(times)))
+    (tmp_path / "classes.txt").write_text("\n".join(f"color/{k}.png {k}" for k in range(12)))
+    if not given and "color/" not in lines[0]:
+        return
+    numbers, stamps, source = read(tmp_path / given)
+    assert numbers == list(range(12))
+    assert stamps == [int(t * 10**9) for t in times]
+    assert source.kind == f"images with times in '{table}'"
+    assert said(source, f"times are from '{table}'")
+
+
+def test_a_table_that_lists_fewer_images(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k}.png" for k in range(12)])
+    (tmp_path / "list.txt").write_text("\n".join(f"{START + k / 4} {k}.png" for k in range(1, 11)))
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(1, 11))
+    assert stamps[1] - stamps[0] == 250_000_000
+    assert said(source, "2 images are left out, for 'list.txt' does not list them")
+    (tmp_path / "list.txt").write_text("1560004885.5 1.png\n")
+    assert len(read(tmp_path)[0]) == 12
+
+
+@pytest.mark.parametrize("given", ["image_00/data", "image_00", ""])
+@pytest.mark.parametrize("cameras", [["image_00"], ["image_00", "image_01", "image_02"]])
+def test_kitti_raw(tmp_path: Path, given: str, cameras: list[str]) -> None:
+    for camera in cameras:
+        write_numbered(tmp_path / camera / "data", [f"{k:010d}.png" for k in range(12)], grey=camera < "image_02")
+        lines = [f"2011-09-26 13:02:2{5 + k // 10}.{k % 10}64389445\n" for k in range(12)]
+        (tmp_path / camera / "timestamps.txt").write_text("".join(lines))
+    numbers, stamps, source = read(tmp_path / given)
+    assert numbers == list(range(12))
+    assert stamps == [1317042145_064389445 + k * 10**8 for k in range(12)]
+    assert source.kind == "KITTI sequence"
+    assert said(source, "image_00, image_01") == (not given and len(cameras) > 1)
+
+
+def test_kitti_raw_with_images_missing(tmp_path: Path) -> None:
+    write_numbered(tmp_path / "data", [f"{k:010d}.png" for k in (0, 1, 4, 5)])
+    lines = [f"2011-09-26 13:02:25.{k}64389445\n" for k in range(6)]
+    (tmp_path / "timestamps.txt").write_text("".join(lines))
+    _, stamps, source = read(tmp_path / "data")
+    assert [(stamp - stamps[0]) // 10**8 for stamp in stamps] == [0, 1, 4, 5]
+    assert said(source, "6 times for 4 images")
+
+
+@pytest.mark.parametrize("row", ["{id:05d} {t} 0.0132", "{id:05d}\t{t}", "{id},{t},0.01", "{id} {t:.0f}e0 1"])
+@pytest.mark.parametrize("named", [True, False])
+def test_times_with_ids(tmp_path: Path, row: str, named: bool) -> None:
+    first = 100
+    write_numbered(tmp_path / "images", [f"{first + k:05d}.jpg" if named else f"{'abcdefgh'[k]}.jpg" for k in range(8)])
+    step = 1 if ":.0f" in row else 0.05
+    lines = [row.format(id=first + k, t=START + k * step) for k in range(8)]
+    (tmp_path / "times.txt").write_text("\n".join(["id stamp exposure", *lines]))
+    numbers, stamps, _ = read(tmp_path / "images")
+    assert numbers == list(range(8))
+    assert stamps == [START * 10**9 + round(k * step * 1000) * 10**6 for k in range(8)]
+
+
+def test_ids_choose_the_times_of_images_that_are_left(tmp_path: Path) -> None:
+    write_numbered(tmp_path, ["00002.png", "00003.png", "00007.png"])
+    (tmp_path / "times.txt").write_text("".join(f"{k:05d} {START + k / 20} 0.01\n" for k in range(9)))
+    _, stamps, source = read(tmp_path)
+    assert [stamp - START * 10**9 for stamp in stamps] == [100_000_000, 150_000_000, 350_000_000]
+    assert said(source, "9 times for 3 images: each takes that of its id")
+
+
+@pytest.mark.parametrize(
+    ("table", "unit", "row"), [("data.csv", 10**6, "{},{}"), ("rgb.txt", 10**9, "{} {}"), ("times.txt", 10**6, "{}")]
+)
+def test_known_tables_in_other_units(tmp_path: Path, table: str, unit: int, row: str) -> None:
+    names = [f"{k:03d}.png" for k in range(6)]
+    write_numbered(tmp_path / "data" if table == "data.csv" else tmp_path, names)
+    lines = [row.format(START * unit + k * unit // 16, name) for k, name in enumerate(names)]
+    (tmp_path / table).write_text("\n".join(lines))
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(6))
+    assert stamps == [START * 10**9 + k * 62_500_000 for k in range(6)]
+    assert said(source, f"the times of '{table}' are taken for {'micro' if unit == 10**6 else 'nano'}seconds")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names", "expected"),
+    [
+        ("%06d.png", [f"{k:06d}.png" for k in range(12)], list(range(12))),
+        ("img_%04d.png", [f"img_{k:04d}.png" for k in range(12)], list(range(12))),
+        ("%d.png", [f"{k}.png" for k in range(12)], list(range(12))),
+        ("####.png", [f"{k:04d}.png" for k in range(12)], list(range(12))),
+        ("a%03d_100%%.png", [f"a{k:03d}_100%.png" for k in range(12)], list(range(12))),
+        ("[x]%03d.png", [f"[x]{k:03d}.png" for k in range(12)], list(range(12))),
+        ("%03d.png", ["000.png", "x01.png", "2.png", "003.png", "1000.png", "003.jpg"], [0, 3, 4]),
+    ],
+)
+def test_number_patterns(tmp_path: Path, pattern: str, names: list[str], expected: list[int]) -> None:
+    write_numbered(tmp_path, names)
+    assert read(tmp_path / pattern)[0] == expected
+    with pytest.raises(InputError, match="no image matches"):
+        open_source(tmp_path / "none" / pattern)
+
+
+def test_a_folder_of_recordings_is_told(tmp_path: Path) -> None:
+    for suffix in ("mcap", "mp4"):
+        folder = tmp_path / suffix
+        folder.mkdir()
+        (folder / f"b.{suffix}").touch()
+        with pytest.raises(InputError, match=rf"name one, such as 'b\.{suffix}'$"):
+            FolderSource(folder)
+        (folder / f"a.{suffix}").touch()
+        with pytest.raises(
+            InputError, match=rf"'a\.{suffix}', or all of them to python -m frontend\.batch: '.*\*\.{suffix}'"
+        ):
+            FolderSource(folder)
+
+
+def test_shuffled_names_come_in_the_order_of_their_times(tmp_path: Path) -> None:
+    """A counter that has nothing to do with the times, as object stores and threads of writers leave."""
+    order = list(range(20))
+    random.Random(1).shuffle(order)
+    names = [f"{order[k]:03d}_{START * 1000 + 40 * k}.png" for k in range(20)]
+    write_numbered(tmp_path, names)
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(20))
+    assert {b - a for a, b in pairwise(stamps)} == {40_000_000}
+    assert said(source, "order of their times")
+
+
+def test_the_picture_helper_tells_numbers_and_up() -> None:
+    assert [number_of(numbered(k)) for k in range(256)] == list(range(256))
+    with pytest.raises(AssertionError):
+        number_of(cv2.rotate(numbered(3), cv2.ROTATE_180))
