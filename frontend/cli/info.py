@@ -58,8 +58,8 @@ def introduce(source: Source, first: Frame, results: Sequence[str], *, found: bo
 
 
 def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:
-    pairs = [*rows.items(), *(("note", note) for note in notes), *(("writing", result) for result in results)]
-    return "\n".join(f"{name + ':':<12} {value}" for name, value in pairs)
+    pairs = [*rows.items(), *(("writing", result) for result in results)]
+    return "\n".join([*(f"{name + ':':<12} {value}" for name, value in pairs), *(f"note: {note}" for note in notes)])
 
 
 def _size(frame: Frame) -> str:
