@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 from natsort import natsorted
@@ -37,6 +38,7 @@ IMAGE_SUFFIXES = frozenset(
 _LOGS = {".mcap", ".bag", ".db3"}
 _VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"}
 _PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
+_LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
 _EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
 _OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
@@ -100,6 +102,10 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
             raise InputError(
                 f"the times of '{root}' are out of order: '{after.path.name}' is not later than '{before.path.name}'"
             )
+    steps = [after.stamp_ns - before.stamp_ns for before, after in pairwise(listing.rows)]
+    if steps and (step := median(steps)) > _LONG_STEP:
+        slow = f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit"
+        listing = replace(listing, notes=(*listing.notes, slow))
     return listing
 
 
