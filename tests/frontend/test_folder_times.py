@@ -303,5 +303,5 @@ def test_times_in_milliseconds_where_seconds_belong_are_doubted(tmp_path: Path) 
     write_numbered(tmp_path, [f"{number:06d}.png" for number in range(4)])
     (tmp_path / "times.txt").write_text("0\n100\n200\n300\n")
     numbers, stamps, source = read(tmp_path)
-    assert numbers == [0, 1, 2, 3] and stamps[1] == 100 * 10**9
+    assert (numbers, stamps[1]) == ([0, 1, 2, 3], 100 * 10**9)
     assert said(source, "images are 100 s apart by their times: correct these if that is another unit")
