@@ -124,6 +124,6 @@ def _size(file: LogFile, name: str) -> tuple[int, int] | None:
             record = read_message(message)
             if isinstance(record, (RawImage, CameraInfo)):
                 return record.width, record.height
-            for _, image in decoder.decode(record):
+            for image in decoder.decode(record):
                 return image.shape[1], image.shape[0]
     return None
