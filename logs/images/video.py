@@ -15,7 +15,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from frontend.sources.reading import UndecodableError
-from logs.messages.types import VideoPacket, ends_the_past, has_picture, is_key_frame, is_leading
+from logs.messages.types import VideoPacket, ends_the_past, has_picture, is_b_picture, is_key_frame, is_leading
 
 _CODECS = {"h264": ("h264",), "h265": ("hevc",), "vp9": ("vp9",), "av1": ("libdav1d", "libaom-av1")}
 # The largest picture of the highest level of H.264 and H.265 (6.2); FFmpeg refuses more before it allocates.
@@ -52,7 +52,7 @@ class VideoDecoder:
         self._waits = True  # for a key frame
         self._recovers = False  # began between key frames: pictures are not whole yet
         self._leads = False  # no picture of before the key frame is there
-        self._fed = 0
+        self._fed = self._began = 0  # packets so far, and which of them recovery began with
         self._inside = _Inside()
         self._held: list[tuple[int, Shown]] = []  # pictures behind one that has not come, and may be damaged
         self._ready: list[Shown] = []
@@ -77,7 +77,8 @@ class VideoDecoder:
             if whole:
                 self._drain()
             self._leads = self._waits
-            self._recovers |= self._waits and not whole and packet.format == "h264"
+            if self._waits and not whole and packet.format == "h264":
+                self._recovers, self._began = True, self._fed + 1
             self._waits = False
         elif self._waits or (self._leads and is_leading(packet)):
             raise UndecodableError("waits for a key frame")
@@ -87,6 +88,9 @@ class VideoDecoder:
         try:
             frames = self._decode(packet)
         except av.error.FFmpegError as error:
+            if self._recovers and is_b_picture(packet):  # shown before the picture that decoding began with
+                self._inside.drop(self._fed)
+                raise UndecodableError("waits for a key frame") from error
             self._drain(damaged=self._fed)
             raise UndecodableError("damaged video frame", error.strerror or "") from error
         damaged = self._take(frames)
@@ -134,7 +138,9 @@ class VideoDecoder:
             count = frame.pts
             if count is None or count not in self._inside:
                 continue
-            if not frame.is_corrupt:
+            if count != self._began and self._began in self._inside:  # shown before what decoding began with
+                self._inside.drop(count)
+            elif not frame.is_corrupt:
                 self._recovers = False
                 place, moved = self._inside.take(count)
                 self.reorders |= moved

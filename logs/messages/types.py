@@ -172,6 +172,12 @@ def is_leading(packet: VideoPacket) -> bool:
     return packet.format == "h265" and next((kind for kind, _ in _units(packet) if kind < 32), None) in (8, 9)
 
 
+def is_b_picture(packet: VideoPacket) -> bool:
+    """Whether an H.264 packet's first slice is of type B (1 or 6), behind the number 0 of its first block."""
+    first = next((place for kind, place in _units(packet) if 1 <= kind <= 5), len(packet.data)) + 1
+    return first < len(packet.data) and (packet.data[first] >> 4 == 0b1010 or packet.data[first] >> 2 == 0b100111)
+
+
 def _units(packet: VideoPacket) -> Iterator[tuple[int, int]]:
     """Kind and place of the NAL units of an H.264 or H.265 packet."""
     for unit in re.finditer(b"\0\0\1(?=(.))", packet.data, re.DOTALL):
