@@ -99,14 +99,14 @@ class VideoDecoder:
             raise UndecodableError("damaged video frame", "its picture is not whole")
         if frames and self._recovers:
             raise UndecodableError("waits for a key frame")
-        return self.taken()
+        return self._taken()
 
     def flush(self) -> list[Shown]:
         """The pictures that are still inside; afterwards a new stream may begin."""
         self._drain()
-        return self.taken()
+        return self._taken()
 
-    def taken(self) -> list[Shown]:
+    def _taken(self) -> list[Shown]:
         """The pictures that were complete before a packet failed."""
         ready, self._ready = self._ready, []
         return ready

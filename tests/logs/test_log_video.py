@@ -63,7 +63,7 @@ def run(packets: list[VideoPacket]) -> tuple[list[list[tuple[int, np.ndarray]]],
             images.append(stamped(decoder.feed(packet, place)))
         except UndecodableError as error:
             failures[place] = error.reason
-            images.append(stamped(decoder.taken()))
+            images.append([])
     return [*images, stamped(decoder.flush())], failures
 
 
