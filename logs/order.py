@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect, insort
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
-from frontend.sources.reading import Bytes
 from logs.files import LogMessage
 from logs.messages.types import EncodedImage, RawImage, VideoPacket
 
@@ -24,7 +23,7 @@ _END_NS = 2**63
 
 
 class Entry(NamedTuple):
-    """A message that was read, and its number on its topic."""
+    """A message that was read, and its number among those of its topic."""
 
     number: int
     message: LogMessage
@@ -44,7 +43,7 @@ class Entry(NamedTuple):
 
     def repeats(self, other: Entry) -> bool:
         """Whether it holds the same picture of the same time."""
-        return self.stamp_ns == other.stamp_ns and _bytes(self.record) == _bytes(other.record)
+        return self.stamp_ns == other.stamp_ns and self.record.data == other.record.data
 
 
 class StampOrder:
@@ -54,15 +53,21 @@ class StampOrder:
     the delay between stamps and log falls again behind it. Otherwise a clock stepped back or a stamp is wrong: messages
     keep their order then, and `StampClock` bridges the step.
 
+    Messages that come out are numbered in their new order.
+
+    Args:
+        refuse: told of what is left out, and why: late messages whose place has passed, and those that are the same as
+            one that is held.
+
     Attributes:
-        late: messages that were put forward.
-        dropped: late messages whose place had passed; they are left out.
-        repeated: messages that were the same as one of those held; they are left out.
+        late: messages so far that were put forward.
     """
 
-    def __init__(self) -> None:
-        self.late = self.dropped = self.repeated = 0
+    def __init__(self, refuse: Callable[[Entry, str], None]) -> None:
+        self.late = 0
+        self._refuse = refuse
         self._held: list[Entry] = []  # in the order of the log
+        self._numbers: deque[int] = deque()  # of those
         self._bytes = 0
         self._judged: set[int] = set()  # numbers of the late ones
         self._past: deque[int] = deque(maxlen=_REMEMBERED)  # stamps that have gone, in order, since the last step
@@ -72,10 +77,11 @@ class StampOrder:
     def add(self, entry: Entry) -> Iterator[Entry]:
         """Take a message in; yields those whose turn has come."""
         if any(entry.repeats(other) for other in (*self._held, *([self._last] if self._last else ()))):
-            self.repeated += 1
+            self._refuse(entry, "it repeats the frame before it")
             return
         self._held.append(entry)
-        self._bytes += len(_bytes(entry.record))
+        self._numbers.append(entry.number)
+        self._bytes += len(entry.record.data)
         while len(self._held) > 2 * WINDOW or (self._bytes > _HELD_BYTES and len(self._held) > 1):
             yield from self._next(at_end=False)
 
@@ -96,13 +102,14 @@ class StampOrder:
             self._step = None
         place = self._earliest()
         entry = self._held.pop(place)
-        self._bytes -= len(_bytes(entry.record))
+        self._bytes -= len(entry.record.data)
         self._judged.discard(entry.number)
+        entry = entry._replace(number=self._numbers.popleft())
         if self._step is not None:
             self._step -= 1
         if entry.has_time:
             if self._past and entry.stamp_ns < self._past[-1]:
-                self.dropped += 1
+                self._refuse(entry, "it was logged too late for its time")
                 return
             self._past.append(entry.stamp_ns)
         self.late += place > 0
@@ -153,10 +160,4 @@ class StampOrder:
 def _stays(before: Entry, behind: list[Entry], period: int) -> bool:
     """Whether the delay jumps behind a message and stays: its clock stepped back, by chance into a hole."""
     jumped = behind[0].delay_ns
-    return jumped - before.delay_ns > period / 2 and all(
-        abs(entry.delay_ns - jumped) < period / 2 for entry in behind
-    )
-
-
-def _bytes(record: Picture) -> Bytes:
-    return record.data
+    return jumped - before.delay_ns > period / 2 and all(abs(entry.delay_ns - jumped) < period / 2 for entry in behind)

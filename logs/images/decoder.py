@@ -169,6 +169,11 @@ class ImageDecoder:
             return cast("NDArray[np.uint8]", image)
         return self._scale(cast("NDArray[np.uint16]", image))
 
+    @property
+    def reorders(self) -> bool:
+        """See `VideoDecoder`."""
+        return self._video is not None and self._video.reorders
+
     def flush(self) -> list[Shown]:
         """The images a video still holds back."""
         return self._video.flush() if self._video else []

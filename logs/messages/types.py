@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from frontend.sources.reading import Bytes
 
-
 _MOST_SEI = 32  # messages or units looked through in a packet
 
 
@@ -97,6 +96,16 @@ VIDEO_FORMATS = {"h264": "h264|avc", "h265": "h265|hevc", "vp9": "vp9|vp09", "av
 """Video that can be decoded, and patterns of its names."""
 
 Record = RawImage | EncodedImage | VideoPacket | CameraInfo
+
+
+def container(data: Bytes) -> str:
+    """The kind of an image file, by its first bytes, for people."""
+    head = bytes(data[:12])
+    if head.startswith(b"\xff\xd8\xff"):
+        return "JPEG"
+    if head.startswith(b"\x89PNG"):
+        return "PNG"
+    return "WebP" if head[:4] == b"RIFF" and head[8:] == b"WEBP" else "unknown image file"
 
 
 def stamp_ns(seconds: int, nanoseconds: int) -> int:
