@@ -11,6 +11,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
+from math import inf
 from typing import TYPE_CHECKING
 
 from airline.errors import InputError
@@ -75,6 +76,7 @@ class LogImageSource(Source):
         self._skips = Skips(file.name)
         self._start_ns = 0  # since the first frame
         self._seen = 0
+        self._first_skipped: float = inf
         self.notes = []
         try:
             self._topic, depth = choose_seen(file, topic)
@@ -299,7 +301,10 @@ class LogImageSource(Source):
         return f"; docs/mcap.md says what can be{f', and --topic takes another topic: {others}' if others else ''}"
 
     def _skip(self, number: int, error: UndecodableError) -> None:
-        self._skips.add(f"message {number} on {printable(self._topic)}: {error}", reason=error.reason)
+        what = f"message {number} on {printable(self._topic)}: {error}"
+        self._skips.add(what, reason=error.reason)
+        if number < self._first_skipped:  # they are not found in order
+            self._first_skipped, self._skips.first = number, what
 
 
 class McapImageSource(LogImageSource):

@@ -60,7 +60,7 @@ class StampClock:
         """The stamp of the next message's frame, ns.
 
         Raises:
-            UndecodableError: no clock says that it is later than the frame before it.
+            UndecodableError: no clock says that it is later than the frame before it; a header alone may come twice.
         """
         (wanted, fault), log_ns = _wanted(self._source, header_ns, message), message.log_ns
         stamp = wanted
@@ -71,9 +71,9 @@ class StampClock:
             counted = last + log_ns - last_log_ns
             spread = fault is None and self._is_coarse(wanted, counted)
             if fault is None and not spread:
-                if stamp == last:
+                if stamp == last and self._source != "header":
                     raise UndecodableError("it repeats the time of the frame before it")
-                if stamp < last:
+                if stamp <= last:
                     fault = "run backwards"
                 elif stamp - last > _DAY_NS >= log_ns - last_log_ns:
                     fault = "jump by more than a day"
