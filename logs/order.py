@@ -104,7 +104,7 @@ class StampOrder:
         entry = self._held.pop(place)
         self._bytes -= len(entry.record.data)
         self._judged.discard(entry.number)
-        entry = entry._replace(number=self._numbers.popleft())
+        number = self._numbers.popleft()
         if self._step is not None:
             self._step -= 1
         if entry.has_time:
@@ -114,7 +114,7 @@ class StampOrder:
             self._past.append(entry.stamp_ns)
         self.late += place > 0
         self._last = entry
-        yield entry
+        yield entry._replace(number=number)
 
     def _earliest(self) -> int:
         """The place of the message whose turn it is."""

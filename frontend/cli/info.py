@@ -17,7 +17,8 @@ def describe(source: Source) -> str:
     Raises:
         InputError: the source has no frame.
     """
-    first = Peeked(source).first
+    peeked = Peeked(source)  # to be kept: a source may close with its iteration
+    first = peeked.first
     if first is None:
         raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
     height, width = first.image.shape[:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import insort
+from collections.abc import Container
 from contextlib import suppress
 from typing import NamedTuple, cast
 
@@ -51,6 +52,7 @@ class VideoDecoder:
         self._reformatter = VideoReformatter()
         self._waits = True  # for a key frame
         self._recovers = False  # began between key frames: pictures are not whole yet
+        self._has_b = False  # pictures are known to be out of order
         self._leads = False  # no picture of before the key frame is there
         self._fed = self._began = 0  # packets so far, and which of them recovery began with
         self._inside = _Inside()
@@ -83,6 +85,7 @@ class VideoDecoder:
         elif self._waits or (self._leads and is_leading(packet)):
             raise UndecodableError("waits for a key frame")
         self._fed += 1
+        self._has_b |= self.reorders or is_b_picture(packet)
         if has_picture(packet):
             self._inside.add(self._fed, _Place(number, packet.stamp_ns, log_ns))
         try:
@@ -167,6 +170,12 @@ class VideoDecoder:
             frames = self._codec.decode(None)
         corrupt = [frame.pts for frame in frames if frame.is_corrupt and frame.pts is not None and not self._recovers]
         worst = min(corrupt if damaged is None else [damaged, *corrupt], default=self._fed + 1)
+        if damaged is not None:
+            # FFmpeg has lost the picture whose turn it was. Whose turn comes when is not known where a damaged picture
+            # may have been between them and times rise in file order.
+            frames = [] if self._inside.rising and self._has_b else frames
+            for count in self._inside.without({damaged, *(frame.pts for frame in frames)}):
+                self._inside.take(count)
         with suppress(av.error.FFmpegError):
             self._take([frame for frame in frames if frame.pts is not None and frame.pts < worst])
         self._start_afresh(worst)
@@ -192,7 +201,7 @@ class _Inside:
         self._packets: dict[int, _Place] = {}
         self._left: tuple[list[int], list[int], list[int]] = [], [], []  # numbers, stamps and log times, in order
         self._highest_ns: int | None = None
-        self._rising = True
+        self.rising = True
 
     def __contains__(self, count: int) -> bool:
         return count in self._packets
@@ -203,13 +212,16 @@ class _Inside:
 
     def add(self, count: int, place: _Place) -> None:
         if self._highest_ns is not None and place.stamp_ns < self._highest_ns:
-            self._rising = False
+            self.rising = False
         self._highest_ns = place.stamp_ns
         self._packets[count] = place
         for values, value in zip(self._left, place, strict=True):
             insort(values, value)
         if count - _LONGEST_DELAY in self._packets:  # no picture came of it
             self.drop(count - _LONGEST_DELAY)
+
+    def without(self, counts: Container[int | None]) -> list[int]:
+        return [count for count in self._packets if count not in counts]
 
     def drop(self, count: int) -> None:
         """No picture comes of a packet."""
@@ -221,7 +233,7 @@ class _Inside:
         """The place of the picture that comes next, a packet's; and whether that has got another's stamp."""
         own = self._packets.pop(count)
         numbers, stamps, logs = self._left
-        stamp_ns = stamps[0] if self._rising else own.stamp_ns
+        stamp_ns = stamps[0] if self.rising else own.stamp_ns
         with suppress(ValueError):
             stamps.remove(stamp_ns)
         return _Place(numbers.pop(0), stamp_ns, logs.pop(0)), stamp_ns != own.stamp_ns

@@ -183,6 +183,8 @@ def is_leading(packet: VideoPacket) -> bool:
 
 def is_b_picture(packet: VideoPacket) -> bool:
     """Whether an H.264 packet's first slice is of type B (1 or 6), behind the number 0 of its first block."""
+    if packet.format != "h264":
+        return False
     first = next((place for kind, place in _units(packet) if 1 <= kind <= 5), len(packet.data)) + 1
     return first < len(packet.data) and (packet.data[first] >> 4 == 0b1010 or packet.data[first] >> 2 == 0b100111)
 
