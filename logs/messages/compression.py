@@ -7,7 +7,7 @@ import zstandard
 from frontend.sources.reading import Bytes, UndecodableError
 
 _MAGIC = b"\x28\xb5\x2f\xfd"  # CDR begins with a zero
-_MOST_BYTES = 1 << 28
+_MOST_BYTES = 1 << 27
 _MAX_RATIO = 1 << 15  # 4 bytes of zstd can become a block of 128 KiB
 _PART = 1 << 20
 
@@ -16,7 +16,7 @@ def unzipped(data: Bytes) -> Bytes:
     """The message inside a zstd frame; a message that is none as it is.
 
     Raises:
-        UndecodableError: a damaged frame, or one of more than 256 MB.
+        UndecodableError: a damaged frame, or one of more than 128 MB.
     """
     if bytes(data[:4]) != _MAGIC:
         return data
