@@ -15,6 +15,7 @@ TimeSource = Literal["header", "publish", "log"]
 
 _DAY_NS = 86_400 * 10**9
 _END_NS = 2**63
+_UNITS_NS = 10**9, 10**8, 10**7
 
 
 def own_stamp(source: TimeSource, header_ns: int, message: LogMessage) -> int:
@@ -38,54 +39,81 @@ class StampClock:
     A wanted time is taken as it is unless it is zero or out of range, runs backwards, or jumps by more than a day that
     the log's own clock did not see. Then the frame's stamp is that of the frame before it plus the time that has passed
     between the two on the log's clock, so that one fault does not tear the stream apart; the first such frame of each
-    kind is warned of.
+    kind is warned of. The log's clock also counts between headers of whole seconds, tenths or hundredths, from the
+    first header that comes twice.
 
     Args:
         name: of the log, for warnings.
         source: the wanted time, see `own_stamp`.
+        notes: takes a sentence on each kind of fault.
     """
 
-    def __init__(self, name: str, source: TimeSource = "header") -> None:
+    def __init__(self, name: str, source: TimeSource = "header", notes: list[str] | None = None) -> None:
         self._name, self._source = name, source
+        self._notes = [] if notes is None else notes
         self._last: tuple[int, int] | None = None  # stamp and log time of the frame before
+        self._last_wanted: int | None = None
+        self._unit_ns: int | None = None  # of a clock that does not count finely; 0 where it is not known
         self.faults: Counter[str] = Counter()
 
     def stamp(self, header_ns: int, message: LogMessage) -> int:
         """The stamp of the next message's frame, ns.
 
         Raises:
-            UndecodableError: it repeats the frame before it, or no clock says that it is later.
+            UndecodableError: no clock says that it is later than the frame before it; a header alone may come twice.
         """
-        (stamp, fault), log_ns = _wanted(self._source, header_ns, message), message.log_ns
+        (wanted, fault), log_ns = _wanted(self._source, header_ns, message), message.log_ns
+        stamp = wanted
         if self._last is None:
             stamp = stamp if fault is None else _in_range(log_ns)
         else:
             last, last_log_ns = self._last
-            if fault is None and stamp == last:
-                raise UndecodableError("it repeats the time of the frame before it")
-            if fault is None and stamp < last:
-                fault = "run backwards"
-            elif fault is None and stamp - last > _DAY_NS >= log_ns - last_log_ns:
-                fault = "jump by more than a day"
-            if fault is not None:
+            counted = last + log_ns - last_log_ns
+            spread = fault is None and self._is_coarse(wanted, counted)
+            if fault is None and not spread:
+                if stamp == last and self._source != "header":
+                    raise UndecodableError("it repeats the time of the frame before it")
+                if stamp <= last:
+                    fault = "run backwards"
+                elif stamp - last > _DAY_NS >= log_ns - last_log_ns:
+                    fault = "jump by more than a day"
+            if fault is not None or spread:
                 if log_ns <= last_log_ns:
                     raise UndecodableError("it is not later than the frame before it")
-                stamp = _in_range(last + log_ns - last_log_ns)
-        self._last = stamp, log_ns
+                stamp = _in_range(counted)
+        self._last, self._last_wanted = (stamp, log_ns), wanted
         if fault is not None:
             self.faults[fault] += 1
             if self.faults[fault] == 1 and self._source != "log":
-                log.warning(
-                    "%s: %s times %s at %.3f s of the log's clock, which counts there; "
-                    "--time-source log uses it throughout",
-                    *(self._name, self._source, fault, log_ns * 1e-9),
-                )
+                what = f"{self._source} times {fault} at {log_ns * 1e-9:.3f} s of the log's clock, which counts there"
+                self._notes.append(f"{what} (--time-source log uses it throughout)")
+                log.warning("%s: %s; --time-source log uses it throughout", self._name, what)
         return stamp
+
+    def _is_coarse(self, wanted: int, counted: int) -> bool:
+        """Whether a header tells the time less finely than the log's clock, which says `counted`."""
+        if self._source != "header":
+            return False
+        if wanted == self._last_wanted and not self._unit_ns:
+            if self._unit_ns is None:
+                self._notes.append(
+                    "header times come more than once, with other pictures: the log's clock counts between them "
+                    "(--time-source log uses it throughout)"
+                )
+            self._unit_ns = next((unit for unit in _UNITS_NS if wanted % unit == 0), 0)
+        if self._unit_ns:
+            return abs(wanted - counted) <= 2 * self._unit_ns
+        return wanted == self._last_wanted
+
+
+def wanted_time(source: TimeSource, header_ns: int, message: LogMessage) -> int:
+    """The wanted time of a message as it is, ns; see `own_stamp`."""
+    return {"header": header_ns, "publish": message.publish_ns, "log": message.log_ns}[source]
 
 
 def _wanted(source: TimeSource, header_ns: int, message: LogMessage) -> tuple[int, str | None]:
     """The wanted time of a message, and what is wrong with it by itself."""
-    wanted = {"header": header_ns, "publish": message.publish_ns, "log": message.log_ns}[source]
+    wanted = wanted_time(source, header_ns, message)
     if wanted == 0 and source != "log":
         return wanted, "are zero"
     return wanted, None if 0 <= wanted < _END_NS else "are out of range"

@@ -11,10 +11,18 @@ from airline.errors import ConfigError, InputError
 from frontend.sources.reading import UndecodableError
 from logs.files import LogFile, Topic, TopicType
 from logs.images.decoder import ImageDecoder
-from logs.messages.readers import is_calibration_type, is_image_type, read_message, reader_for
+from logs.messages.readers import (
+    DepthError,
+    check_seen,
+    is_calibration_type,
+    is_image_type,
+    read_message,
+    reader_for,
+)
 from logs.messages.types import CameraInfo, RawImage
 
 _NAMED = 5  # topics in an error
+_TRIED_FOR_DEPTH = 5
 _TRIED = 300  # messages until one shows its size; a video may start long before a key frame
 
 
@@ -42,6 +50,47 @@ def choose_topic(topics: Mapping[str, Topic], wanted: str | None) -> str:
         shown = {name: images[name] for name in readable}
         raise InputError(f"the log has several image topics, choose one with --topic: {_listed(shown)}")
     return readable[0]
+
+
+def choose_seen(file: LogFile, wanted: str | None) -> tuple[str, bool]:
+    """As `choose_topic`, among the topics of a log that are not depth; and whether others were left out for that.
+
+    Raises:
+        InputError: as `choose_topic`; there is only depth, or it is wanted.
+    """
+    images = [name for name, topic in file.topics.items() if is_image_type(topic.type.schema_name)]
+    if wanted is not None and wanted not in images:
+        return choose_topic(file.topics, wanted), False
+    depth = [name for name in (images if wanted is None else [wanted]) if _is_depth(file, name)]
+    if depth and len(depth) == len(images if wanted is None else [wanted]):
+        others = image_topics(file, but=wanted)
+        what = f"choose a topic with pictures by --topic: {others}" if others else "the log has no other images"
+        raise InputError(
+            f"{_listed({depth[0]: file.topics[depth[0]]})} is depth, which is measured, not seen, and has no lines to "
+            f"track: {what}"
+        )
+    seen = {name: topic for name, topic in file.topics.items() if name not in depth}
+    return choose_topic(seen, wanted), bool(depth)
+
+
+def image_topics(file: LogFile, but: str | None) -> str:
+    """The other image topics of a log that are not depth, for people."""
+    images = {name: topic for name, topic in file.topics.items() if is_image_type(topic.type.schema_name)}
+    others = {name: topic for name, topic in images.items() if name != but and not _is_depth(file, name)}
+    return _listed(others) if others else ""
+
+
+def _is_depth(file: LogFile, name: str) -> bool:
+    """By the first message that can be read."""
+    for message in islice(file.messages(name), _TRIED_FOR_DEPTH):
+        try:
+            check_seen(read_message(message), name)
+        except DepthError:
+            return True
+        except UndecodableError:
+            continue
+        return False
+    return False
 
 
 def mean_rate_hz(file: LogFile, topic: str) -> float | None:
@@ -124,6 +173,6 @@ def _size(file: LogFile, name: str) -> tuple[int, int] | None:
             record = read_message(message)
             if isinstance(record, (RawImage, CameraInfo)):
                 return record.width, record.height
-            for _, image in decoder.decode(record):
+            for image in decoder.decode(record):
                 return image.shape[1], image.shape[0]
     return None

@@ -20,7 +20,8 @@ def describe(source: Source) -> str:
     Raises:
         InputError: the source has no frame.
     """
-    first = Peeked(source).first
+    peeked = Peeked(source)  # to be kept: a source may close with its iteration
+    first = peeked.first
     if first is None:
         raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
     end_ns, count, rate = source.last_stamp_ns, source.frame_count, _rate_hz(source, first)

@@ -50,12 +50,14 @@ class LogFile(ABC):
     """An opened log. Reading never stops at damage: what can be read is read.
 
     Attributes:
+        kind: what it is, for people.
         name: short, for file names and warnings.
         topics: those with messages, by name.
         span_ns: first and last log time of all messages, ns; None if there are none.
         lost: what could not be read so far: how many times, by reason.
     """
 
+    kind: str
     name: str
     topics: Mapping[str, Topic]
     span_ns: tuple[int, int] | None

@@ -15,6 +15,7 @@ from rosbags.interfaces import Connection
 
 from airline.errors import InputError
 from logs.files import LogFile, LogMessage, Topic, TopicType
+from logs.files.bag_scan import BAG_MAGIC, UnindexedBag
 
 Reader = rosbag1.Reader | rosbag2.Reader
 
@@ -23,7 +24,8 @@ class BagFile(LogFile):
     """A ROS 1 `.bag`, a ROS 2 bag folder, or a `.db3` file out of one.
 
     The files of a folder without `metadata.yaml`, which a killed recorder leaves behind, are read one after the other.
-    A message's publishing time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
+    A ROS 1 bag whose index is missing or damaged is read from the front, see `UnindexedBag`. A message's publishing
+    time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
 
     Raises:
         InputError: it cannot be read, or is no bag.
@@ -33,12 +35,16 @@ class BagFile(LogFile):
         path = Path(path)
         self.lost = Counter()
         self._readers: list[Reader] = []
+        self._scanned: UnindexedBag | None = None
         with ExitStack() as opened:
             try:
                 for reader in _readers(path):
                     opened.enter_context(reader)
                     self._readers.append(reader)
             except Exception as error:  # damage makes rosbags raise errors of many kinds
+                if _is_ros1(path):
+                    self._take(UnindexedBag(path))
+                    return
                 raise InputError(
                     f"cannot read the bag '{path}' ({error}): if its recording was interrupted, reindex it"
                 ) from error
@@ -49,15 +55,24 @@ class BagFile(LogFile):
             counts[connection.topic] += connection.msgcount
             types[connection.topic] = _type(connection)
         self.topics = {name: Topic(types[name], count) for name, count in counts.items() if count}
+        self.kind = "ROS 1 bag" if _is_ros1(path) else "ROS 2 bag"
         self.name = path.stem if path.is_file() else path.resolve().name
         spans = [(reader.start_time, reader.end_time - 1) for reader in self._readers if reader.message_count]
         self.span_ns = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[LogMessage]:
+        if self._scanned is not None:
+            return self._scanned.messages(topic, start_ns) if topic in self.topics else iter(())
         return chain.from_iterable(self._read(reader, topic, start_ns) for reader in self._readers)
 
     def close(self) -> None:
         self._opened.close()
+
+    def _take(self, scanned: UnindexedBag) -> None:
+        self._scanned, self._opened = scanned, ExitStack()
+        self._opened.callback(scanned.close)
+        self.kind, self.name, self.topics = scanned.kind, scanned.name, scanned.topics
+        self.span_ns, self.lost = scanned.span_ns, scanned.lost
 
     def _read(self, reader: Reader, topic: str, start_ns: int | None) -> Iterator[LogMessage]:
         """Messages from start_ns on, or to where the bag is damaged."""
@@ -75,11 +90,17 @@ def _type(connection: Connection) -> TopicType:
     return TopicType(connection.msgtype, "ros1" if isinstance(connection.owner, rosbag1.Reader) else "cdr")
 
 
+def _is_ros1(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(BAG_MAGIC)) == BAG_MAGIC
+    except (OSError, ValueError):
+        return False
+
+
 def _readers(path: Path) -> Iterator[Reader]:
     if not path.is_dir():
-        with path.open("rb") as file:
-            ros1 = file.read(8) == b"#ROSBAG "
-        yield rosbag1.Reader(path) if ros1 else rosbag2.Reader(path)
+        yield rosbag1.Reader(path) if _is_ros1(path) else rosbag2.Reader(path)
     elif (path / "metadata.yaml").is_file():
         yield rosbag2.Reader(path)
     else:

@@ -15,7 +15,7 @@ from mcap.records import Channel, ChunkIndex, McapRecord, Message, Schema, Stati
 from mcap.summary import Summary
 
 from airline.errors import InputError
-from logs.files import MCAP_MAGIC, LogFile, LogMessage, Topic, TopicType
+from logs.files import LogFile, LogMessage, Topic, TopicType
 from logs.files.mcap_records import DamageError, RecordFile, define
 
 log = logging.getLogger(__name__)
@@ -40,9 +40,12 @@ class McapFile(LogFile):
         InputError: the file cannot be opened, or is no MCAP file.
     """
 
+    kind = "MCAP"
+    _records = RecordFile
+
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
-        self._file = RecordFile(self._path)
+        self._file = self._records(self._path)
         self.name = self._path.stem
         self.lost = Counter()
         self._damaged: set[int] = set()  # places whose loss is counted
@@ -117,7 +120,7 @@ class McapFile(LogFile):
         """A summary from reading the file from front to back; holds one chunk at a time."""
         summary = Summary()
         counts: Counter[int] = Counter()
-        place, opcode = len(MCAP_MAGIC), 0
+        place, opcode = self._file.begin, 0
         try:
             while opcode not in (Opcode.DATA_END, Opcode.FOOTER) and place < self._file.size:
                 opcode, end = self._file.head(place)

@@ -59,22 +59,25 @@ class _Within(ReadDataStream):
 
 
 class RecordFile:
-    """An MCAP file by place; `size` is its length in bytes when it was opened.
+    """An MCAP file by place; `size` is its length in bytes when it was opened, `begin` where the first record is.
 
     Raises:
         InputError: the file cannot be opened, or is no MCAP file.
     """
 
+    magic, named = MCAP_MAGIC, "MCAP file"
+
     def __init__(self, path: Path) -> None:
         try:
             self._file = path.open("rb")
             self.size = os.fstat(self._file.fileno()).st_size
-            magic = self._file.read(len(MCAP_MAGIC))
+            magic = self._file.read(len(self.magic))
         except (OSError, ValueError) as error:
             raise InputError(f"cannot open the log '{path}': {error}") from error
-        if magic != MCAP_MAGIC:
+        self.begin = len(self.magic)
+        if magic != self.magic:
             self.close()
-            raise InputError(f"'{path}' is not an MCAP file")
+            raise InputError(f"'{path}' is not an {self.named}")
 
     def head(self, place: int) -> tuple[int, int]:
         """Opcode and end of the record at a place; raises DamageError if there can be none."""

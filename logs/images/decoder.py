@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from frontend.sources.reading import Image, UndecodableError
 from frontend.sources.stills import decode_encoded
-from logs.messages.types import EncodedImage, RawImage, VideoPacket
+from logs.messages.types import BAYER, EncodedImage, RawImage, VideoPacket
 
 if TYPE_CHECKING:
-    from logs.images.video import VideoDecoder
+    from logs.images.video import Shown, VideoDecoder
 
 
 class _Layout(NamedTuple):
@@ -28,23 +28,27 @@ class _Layout(NamedTuple):
     conversion: int | None = None
 
 
-# Bayer patterns are named here, as in ROS, by the top-left four pixels in reading order. OpenCV has two names for each:
-# this order as in RGGB, and an older one of two letters that begins at the pixel (1, 1), by which RGGB is BG.
 _LAYOUTS = {
     "mono8": _Layout(1, 1),
     "8UC1": _Layout(1, 1),
     "mono16": _Layout(2, 1),
     "16UC1": _Layout(2, 1),
+    "8UC2": _Layout(1, 2),
     "bgr8": _Layout(1, 3),
     "8UC3": _Layout(1, 3),
     "rgb8": _Layout(1, 3, cv2.COLOR_RGB2BGR),
     "bgra8": _Layout(1, 4, cv2.COLOR_BGRA2BGR),
     "8UC4": _Layout(1, 4, cv2.COLOR_BGRA2BGR),
     "rgba8": _Layout(1, 4, cv2.COLOR_RGBA2BGR),
-    "bayer_rggb8": _Layout(1, 1, cv2.COLOR_BayerRGGB2BGR),
-    "bayer_bggr8": _Layout(1, 1, cv2.COLOR_BayerBGGR2BGR),
-    "bayer_gbrg8": _Layout(1, 1, cv2.COLOR_BayerGBRG2BGR),
-    "bayer_grbg8": _Layout(1, 1, cv2.COLOR_BayerGRBG2BGR),
+    "bgr16": _Layout(2, 3),
+    "16UC3": _Layout(2, 3),
+    "rgb16": _Layout(2, 3, cv2.COLOR_RGB2BGR),
+    "bgra16": _Layout(2, 4, cv2.COLOR_BGRA2BGR),
+    "16UC4": _Layout(2, 4, cv2.COLOR_BGRA2BGR),
+    "rgba16": _Layout(2, 4, cv2.COLOR_RGBA2BGR),
+    # OpenCV has two names for each pattern: this order as in RGGB, and an older one of two letters that begins at the
+    # pixel (1, 1), by which RGGB is BG.
+    **{name: _Layout(int(name[10:]) // 8, 1, getattr(cv2, f"COLOR_Bayer{name[6:10].upper()}2BGR")) for name in BAYER},
     "yuv422": _Layout(1, 2, cv2.COLOR_YUV2BGR_UYVY),
     "uyvy": _Layout(1, 2, cv2.COLOR_YUV2BGR_UYVY),
     "yuv422_yuy2": _Layout(1, 2, cv2.COLOR_YUV2BGR_YUYV),
@@ -70,14 +74,17 @@ def decode_pixels(raw: RawImage) -> Image:
     if layout is None:
         raise UndecodableError("image encoding is not readable", repr(raw.encoding[:40]))
     pixels = _rows(raw, layout)
+    if raw.encoding == "8UC2":  # grey and something, or YUYV
+        pixels = pixels[:, :, 0]
+    if layout.conversion is None or layout.depth == 2:
+        pixels = cast("Image", pixels.astype(pixels.dtype.newbyteorder("="), order="C"))
     if layout.conversion is None:
-        return cast("Image", pixels.astype(pixels.dtype.newbyteorder("="), order="C"))
+        return pixels
     if (layout.channels == 2 and raw.width % 2) or (
         layout.channels == 1 and min(raw.width, raw.height) < _SMALLEST_BAYER
     ):
         raise _contradiction(raw)
-    image: NDArray[np.uint8] = cv2.cvtColor(pixels, layout.conversion)
-    return image
+    return cast("Image", cv2.cvtColor(pixels, layout.conversion))
 
 
 def _rows(raw: RawImage, layout: _Layout) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -117,8 +124,18 @@ def _contradiction(raw: RawImage) -> UndecodableError:
 
 
 def decode_still(record: RawImage | EncodedImage) -> Image:
-    """The image of one record, from any thread; see `decode_pixels` and `decode_encoded`."""
-    return decode_pixels(record) if isinstance(record, RawImage) else decode_encoded(record.data)
+    """The image of one record, from any thread; see `decode_pixels` and `decode_encoded`.
+
+    A file with one channel whose message says that it is a Bayer mosaic is made a colour image, as a raw one is.
+    """
+    if isinstance(record, RawImage):
+        return decode_pixels(record)
+    image = decode_encoded(record.data)
+    if record.encoding not in BAYER or image.ndim == 3 or min(image.shape) < _SMALLEST_BAYER:
+        return image
+    conversion = _LAYOUTS[record.encoding].conversion
+    assert conversion is not None
+    return cast("Image", cv2.cvtColor(image, conversion))
 
 
 class ImageDecoder:
@@ -128,19 +145,23 @@ class ImageDecoder:
         self._scale = SteadyScale()
         self._video: VideoDecoder | None = None
 
-    def decode(self, record: RawImage | EncodedImage | VideoPacket) -> list[tuple[int, NDArray[np.uint8]]]:
-        """(stamp in ns, (H, W) or (H, W, 3) BGR image) of a still; for a video packet see `VideoDecoder.feed`.
-
-        Raises:
-            UndecodableError: no image comes of this record; the next may be decoded all the same.
-        """
-        if not isinstance(record, VideoPacket):
-            return [(record.stamp_ns, self.eight_bits(decode_still(record)))]
+    @property
+    def video(self) -> VideoDecoder:
         if self._video is None:
             from logs.images.video import VideoDecoder  # FFmpeg takes time to import
 
             self._video = VideoDecoder()
-        return self._video.feed(record)
+        return self._video
+
+    def decode(self, record: RawImage | EncodedImage | VideoPacket) -> list[NDArray[np.uint8]]:
+        """(H, W) or (H, W, 3) BGR image of a still; those that come of a video packet, see `VideoDecoder.feed`.
+
+        Raises:
+            UndecodableError: no image comes of this record; the next may be decoded all the same.
+        """
+        if isinstance(record, VideoPacket):
+            return [shown.image for shown in self.video.feed(record)]
+        return [self.eight_bits(decode_still(record))]
 
     def eight_bits(self, image: Image) -> NDArray[np.uint8]:
         """The image itself, or the 8-bit version of a 16-bit one on the topic's steady scale."""
@@ -148,7 +169,12 @@ class ImageDecoder:
             return cast("NDArray[np.uint8]", image)
         return self._scale(cast("NDArray[np.uint16]", image))
 
-    def flush(self) -> list[tuple[int, NDArray[np.uint8]]]:
+    @property
+    def reorders(self) -> bool:
+        """See `VideoDecoder`."""
+        return self._video is not None and self._video.reorders
+
+    def flush(self) -> list[Shown]:
         """The images a video still holds back."""
         return self._video.flush() if self._video else []
 

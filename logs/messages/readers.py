@@ -26,7 +26,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from frontend.sources.reading import Bytes, UndecodableError
+from logs.messages.compression import unzipped
 from logs.messages.types import (
+    BAYER,
+    VIDEO_FORMATS,
     CameraInfo,
     EncodedImage,
     RawImage,
@@ -40,10 +43,16 @@ from logs.messages.types import (
 if TYPE_CHECKING:
     from logs.files import LogMessage
 
-_IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket"}
+_DISPARITY = "DisparityImage"
+_IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPacket", _DISPARITY}
 _CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
-_DEPTH_HEADER = 12  # bytes that compressed_depth_image_transport puts before the image
-_PNG = b"\x89PNG"
+# Text that image_transport and others put into CompressedImage.format: "bayer_rggb8; jpeg compressed ". What the file
+# holds stands last, if it was converted: "bayer_rggb8; jpeg compressed bgr8".
+_ENCODING = re.compile(r"\b(?:bayer_[rgb]{4}|mono|rgba?|bgra?)(?:8|16)\b|\b(?:8|16|32|64)[USF]C[1-4]\b", re.IGNORECASE)
+_PNG_16_BIT = re.compile(rb"\x89PNG.{20}\x10[\0\4]", re.DOTALL)  # grey
+_SEEN = {"color", "colour", "rgb", "ir", "infra", "infrared", "mono", "intensity", "amplitude", "thermal", "confidence"}
+_LONGEST_FORMAT = 200
+_FLOATS = ("32FC1", "64FC1")
 _Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
 
@@ -120,15 +129,57 @@ def reader_for(schema_name: str, encoding: str) -> Callable[[Bytes], Record] | N
 
 def read_message(message: LogMessage) -> Record:
     """What a message of a log says; raises UndecodableError: it is damaged, or of a type that is not readable."""
+    if is_disparity_type(message.type.schema_name):
+        raise DepthError(_DISPARITY)
     read = reader_for(message.type.schema_name, message.type.encoding)
     if read is None:
         raise UndecodableError("its type is not readable", repr(str(message.type)))
     return read(message.data)
 
 
+class DepthError(UndecodableError):
+    """A message holds distances or disparities, not a picture."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__("depth is measured, not seen", detail)
+
+
+def check_seen(record: Record, topic: str) -> None:
+    """Raises DepthError: the record is depth: floats, or 16 bits on a topic whose name says so.
+
+    Names are read from their end: `/depth_camera/ir` is none. Of disparity 8 bits are refused, too.
+    """
+    if isinstance(record, RawImage):
+        encoding = record.encoding
+    elif isinstance(record, EncodedImage):
+        encoding = record.encoding or ("mono16" if _PNG_16_BIT.match(record.data) else "")
+    else:
+        return
+    named = _depth_word(topic)
+    grey = ("16UC1", "mono16", *(("mono8", "8UC1") if named == "disparity" else ()))
+    if encoding in _FLOATS or (named is not None and encoding in grey):
+        raise DepthError(encoding)
+
+
+def _depth_word(topic: str) -> str | None:
+    for part in reversed(topic.lower().split("/")):
+        words = re.split("[^a-z]+", part)
+        for word in ("disparity", "depth"):
+            if word in words:
+                return word
+        if not _SEEN.isdisjoint(words):
+            return None
+    return None
+
+
 def is_image_type(schema_name: str) -> bool:
     """Whether messages of this type are camera images, readable here or not."""
     return _last(schema_name) in _IMAGES
+
+
+def is_disparity_type(schema_name: str) -> bool:
+    """Whether messages of this type are measured distances by their type alone."""
+    return _last(schema_name) == _DISPARITY
 
 
 def is_calibration_type(schema_name: str) -> bool:
@@ -143,6 +194,8 @@ def _last(schema_name: str) -> str:
 def _read(package: str, kind: str, encoding: str, data: Bytes) -> Record:
     message: Any
     try:
+        if encoding == "cdr":
+            data = unzipped(data)
         if encoding == "json":
             message = msgspec.json.decode(data, type=_FOXGLOVE[kind][1])
         elif encoding == "protobuf":
@@ -172,15 +225,16 @@ def _record(kind: str, message: Any) -> Record:
     if kind == "CompressedVideo":
         video = video_format(text)
         if video is None:
-            raise UndecodableError("video format is not readable", text[:40])
+            raise UndecodableError("video format is not readable", f"{text[:40]!r}, only {', '.join(VIDEO_FORMATS)}")
         return VideoPacket(*head, video, data)
     if header is not None and "compressedDepth" in text:
-        if not text.startswith("16UC1") or data[_DEPTH_HEADER : _DEPTH_HEADER + 4] != _PNG:
-            raise UndecodableError("compressed depth is not readable", text[:60])
-        return EncodedImage(*head, data[_DEPTH_HEADER:])
+        raise DepthError(text[:60].strip())
     if header is not None and (video := video_format(text) or sniffed_video_format(data)):
         return VideoPacket(*head, video, data)
-    return EncodedImage(*head, data)
+    named = _ENCODING.findall(text[:_LONGEST_FORMAT])
+    inside = named[-1] if named else ""
+    known = (*BAYER, "16UC1", *_FLOATS)
+    return EncodedImage(*head, data, next((name for name in known if name.lower() == inside.lower()), ""))
 
 
 def _camera_info(head: tuple[int, str], message: Any) -> CameraInfo:

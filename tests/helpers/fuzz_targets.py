@@ -8,7 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType
+from rosbags import rosbag1
 
 from airline.network.spec import UNetSpec
 from airline.network.weights import load_ranges, load_weights
@@ -18,6 +20,7 @@ from frontend.protocols import FrameResult
 from frontend.sources.reading import UndecodableError
 from frontend.sources.stills import read_still
 from logs import read_tracks
+from logs.files.bag_scan import UnindexedBag
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import decode_still
 from logs.messages.readers import reader_for
@@ -27,6 +30,7 @@ from logs.sinks.tables import ParquetTrackSink
 from logs.tracks.json import decode_tracks, encode_tracks
 from logs.tracks.message import decode
 from tests.frontend import test_calibration as calibrations
+from tests.helpers.camera_messages import ROS1
 from tests.helpers.made_tracks import made_tracks, result_of, write_tracks
 from tests.helpers.mcap_logs import messages, write
 from tests.logs.test_live_message import encoded
@@ -51,6 +55,8 @@ def all_targets(folder: Path) -> dict[str, Target]:
         "calibration": of_file(_calibrations(), "c.yaml", lambda path: read_calibration(path, "image_2")),
         "weights": of_file([_weights()], "w.safetensors", lambda path: (load_weights(path), load_ranges(path))),
         "log": of_file(_logs(folder), "l.mcap", _read_log),
+        "bag without an index": of_file(_bags(folder), "b.bag", _read_bag),
+        "compressed message": _compressed_message(),
         "tracks in MCAP": of_file(_tracks(folder / "t.mcap"), "d.mcap", _read_tracks),
         "tracks in Parquet": of_file(_tracks(folder / "t.parquet"), "d.parquet", _read_tracks),
         "journal": of_file(_journal(folder / "j.parquet"), "d.parquet.unfinished", _read_tracks),
@@ -107,6 +113,37 @@ def _logs(folder: Path) -> list[bytes]:
             path = write(folder / "sample.mcap", messages(9), compression=compression, chunk_size=300, **options)
             found.append(path.read_bytes())
     return found
+
+
+def _bags(folder: Path) -> list[bytes]:
+    """A small bag of ROS 1 in each compression whose header knows of no index."""
+    found = []
+    for compression in (None, *rosbag1.Writer.CompressionFormat):
+        path = folder / f"sample{compression}.bag"
+        writer = rosbag1.Writer(path)
+        if compression is not None:
+            writer.set_compression(compression)
+        with writer:
+            camera = writer.add_connection("/camera", "sensor_msgs/msg/Image", typestore=ROS1)
+            for number in range(3):
+                writer.write(camera, 10**18 + number, bytes([number]) * 60)
+        data = path.read_bytes()
+        place = data.index(b"index_pos=") + 10
+        found.append(data[:place] + bytes(8) + data[place + 8 :])
+    return found
+
+
+def _read_bag(path: Path) -> None:
+    with closing(UnindexedBag(path)) as bag:
+        for topic in bag.topics:
+            for _ in bag.messages(topic):
+                pass
+
+
+def _compressed_message() -> Target:
+    schema = "sensor_msgs/msg/Image", "cdr"
+    (message,), read = _message(*schema)
+    return [zstandard.ZstdCompressor(write_content_size=says).compress(message) for says in (True, False)], read
 
 
 def _read_log(path: Path) -> None:

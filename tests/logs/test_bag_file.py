@@ -98,12 +98,65 @@ def test_everything_comes_back_and_from_anywhere(tmp_path: Path, kind: str) -> N
     bag.close()
 
 
-def test_a_cut_bag_is_a_clear_error(tmp_path: Path) -> None:
-    data = write(tmp_path, "lz4").read_bytes()
-    for percent in range(5, 100, 10):
+def without_index(data: bytes) -> bytes:
+    """As a recorder that was killed leaves it: the header does not know of an index."""
+    place = data.index(b"index_pos=") + 10
+    return data[:place] + bytes(8) + data[place + 8 :]
+
+
+@pytest.mark.parametrize("kind", ["none", "bz2", "lz4"])
+def test_a_bag_without_an_index_is_read_whole(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, kind)
+    whole = path.read_bytes()
+    (tmp_path / "killed.bag.active").write_bytes(without_index(whole))
+    with closing(open_log(tmp_path / "killed.bag.active")) as bag, closing(open_log(path)) as sound:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {TOPIC: COUNT, OTHER: 5 * COUNT}
+        assert str(bag.topics[TOPIC].type) == "sensor_msgs/Image as ros1"
+        assert (bag.kind, sound.kind) == ("ROS 1 bag without an index", "ROS 1 bag")
+        assert bag.span_ns == sound.span_ns
+        for start_ns in (None, START + 1, stamp(17), 2**62):
+            assert read(bag, start_ns) == read(sound, start_ns)
+        assert list(bag.messages("/nowhere")) == []
+        assert not bag.lost
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.parametrize("kind", ["none", "bz2", "lz4"])
+@pytest.mark.parametrize("indexed", [False, True])
+def test_a_cut_bag_is_read_as_far_as_it_goes(
+    tmp_path: Path, kind: str, indexed: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = write(tmp_path, kind).read_bytes()
+    data = whole if indexed else without_index(whole)
+    found = []
+    for percent in range(0, 100, 3):
+        caplog.clear()
         (tmp_path / "cut.bag").write_bytes(data[: len(data) * percent // 100])
-        with pytest.raises(InputError, match=r"cannot read the bag .*reindex"):
-            BagFile(tmp_path / "cut.bag")
+        if percent == 0:
+            with pytest.raises(InputError):
+                open_log(tmp_path / "cut.bag")
+            continue
+        with closing(open_log(tmp_path / "cut.bag")) as bag:
+            messages = read(bag)
+        assert messages == expected()[: len(messages)]
+        assert len(caplog.records) == 1
+        found.append(len(messages))
+    assert found == sorted(found)
+    assert found[-1] >= COUNT - 8
+    assert len(set(found)) > (2 if kind == "bz2" else 15)
+
+
+def test_a_chunk_that_was_never_closed_is_read(tmp_path: Path) -> None:
+    """A recorder writes a chunk's sizes when it is full, until then zeros."""
+    data = write(tmp_path, "none").read_bytes()
+    place = data.rindex(b"op=\5")
+    size = data.index(b"size=", place) + 5
+    (length,) = struct.unpack_from("<I", data, size)
+    end = data.index(struct.pack("<I", length), size + 4)
+    open_chunk = data[:size] + bytes(4) + data[size + 4 : end] + bytes(4) + data[end + 4 : end + 4 + length]
+    (tmp_path / "killed.bag").write_bytes(without_index(open_chunk))
+    with closing(open_log(tmp_path / "killed.bag")) as bag:
+        assert read(bag) == expected()
 
 
 @pytest.mark.parametrize(("kind", "magic"), [("bz2", b"BZh9"), ("lz4", b"\x04\x22\x4d\x18")])

@@ -23,6 +23,7 @@ from logs.messages.types import EncodedImage, RawImage
 from tests.helpers.camera_messages import cdr, image_fields, picture, ros1
 
 DEPTH = (np.random.default_rng(3).integers(0, 65536, (64, 96))).astype(np.uint16)
+COLOUR16 = np.dstack([DEPTH, DEPTH // 3, 65535 - DEPTH])
 BAYER = ("rggb", "bggr", "gbrg", "grbg")
 
 
@@ -68,6 +69,18 @@ RAW: dict[str, Callable[[], tuple[np.ndarray, np.ndarray, float]]] = {  # sent, 
     **dict.fromkeys(("mono8", "8UC1"), lambda: (grey(), grey(), 0)),
     **dict.fromkeys(("mono16", "16UC1"), lambda: (DEPTH, DEPTH, 0)),
     **dict.fromkeys(("bgr8", "8UC3"), lambda: (picture(), picture(), 0)),
+    **{
+        f"bayer_{order}16": partial(
+            lambda order: (mosaic(picture(), order).astype(np.uint16) * 257, picture().astype(np.uint16) * 257, 1100),
+            order,
+        )
+        for order in BAYER
+    },
+    "8UC2": lambda: (np.dstack([grey(), grey() // 2]), grey(), 0),
+    **dict.fromkeys(("bgr16", "16UC3"), lambda: (COLOUR16, COLOUR16, 0)),
+    "rgb16": lambda: (np.ascontiguousarray(COLOUR16[:, :, ::-1]), COLOUR16, 0),
+    **dict.fromkeys(("bgra16", "16UC4"), lambda: (np.dstack([COLOUR16, DEPTH]), COLOUR16, 0)),
+    "rgba16": lambda: (np.dstack([COLOUR16[:, :, ::-1], DEPTH]), COLOUR16, 0),
     "rgb8": lambda: (picture()[:, :, ::-1], picture(), 0),
     **dict.fromkeys(("bgra8", "8UC4"), lambda: (with_alpha(picture()), picture(), 0)),
     "rgba8": lambda: (with_alpha(picture()[:, :, ::-1]), picture(), 0),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import base64
 import json
+import tracemalloc
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from foxglove_schemas_protobuf import CameraCalibration_pb2, CompressedImage_pb2, CompressedVideo_pb2, RawImage_pb2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from frontend.sources.reading import UndecodableError
-from logs.messages.readers import is_calibration_type, is_image_type, reader_for
+from logs.messages.readers import DepthError, check_seen, is_calibration_type, is_image_type, reader_for
 from logs.messages.types import CameraInfo, EncodedImage, RawImage, Record, VideoPacket
 from tests.helpers.camera_messages import FRAME, ROS1, ROS2, STAMP_NS, D, K, P, R, cdr, image_fields, info_fields, ros1
 
@@ -181,25 +183,90 @@ def test_video_in_compressed_images(text: str, data: bytes, found: str | None) -
 
 
 def test_video_formats_of_foxglove() -> None:
-    for name in ("vp9", "av1", "", "x" * 1000):
+    for name, found in (("vp9", "vp9"), ("av1", "av1"), ("AV01", "av1"), ("avc1", "h264")):
+        record = read("foxglove.CompressedVideo", "json", as_json(format=name, data=IDR))
+        assert record == VideoPacket(STAMP_NS, FRAME, found, IDR)
+    for name in ("theora", "mpeg5", "", "x" * 1000):
         with pytest.raises(UndecodableError) as caught:
             read("foxglove.CompressedVideo", "json", as_json(format=name, data=IDR))
         assert caught.value.reason == "video format is not readable"
-        assert len(str(caught.value)) < 100
+        assert len(str(caught.value)) < 130
 
 
-def test_compressed_depth() -> None:
-    def message(text: str, data: bytes) -> bytes:
-        return cdr("CompressedImage", format=text, data=array(data))
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("bayer_rggb8; jpeg compressed ", "bayer_rggb8"),
+        ("BAYER_GRBG16; png compressed", "bayer_grbg16"),
+        ("bayer_rggb8; jpeg compressed bgr8", ""),
+        ("bayer_rggb8; jpeg compressed mono8", ""),
+        ("16UC1; png compressed ", "16UC1"),
+        ("32fc1; png compressed", "32FC1"),
+        ("mono16; png compressed mono16", ""),
+        ("rgb8; jpeg compressed bgr8", ""),
+        ("jpeg", ""),
+        ("bayer_rggb8" * 10**6, ""),
+    ],
+)
+def test_the_encoding_inside_a_compressed_image(text: str, encoding: str) -> None:
+    data = cdr("CompressedImage", format=text, data=array(PIXELS))
+    assert read("sensor_msgs/msg/CompressedImage", "cdr", data) == EncodedImage(STAMP_NS, FRAME, PIXELS, encoding)
 
-    png = b"\x89PNG\r\n\x1a\n..."
-    schema = "sensor_msgs/msg/CompressedImage"
-    depth = read(schema, "cdr", message("16UC1; compressedDepth png", bytes(12) + png))
-    assert depth == EncodedImage(STAMP_NS, FRAME, png)
-    for text, data in (("32FC1; compressedDepth png", bytes(12) + png), ("16UC1; compressedDepth rvl", bytes(40))):
-        with pytest.raises(UndecodableError) as caught:
-            read(schema, "cdr", message(text, data))
-        assert caught.value.reason == "compressed depth is not readable"
+
+def test_compressed_depth_is_named() -> None:
+    for text, data in (
+        ("16UC1; compressedDepth png", bytes(12) + b"\x89PNG\r\n\x1a\n..."),
+        ("32FC1; compressedDepth png", bytes(40)),
+        ("16UC1; compressedDepth rvl", bytes(40)),
+    ):
+        with pytest.raises(DepthError) as caught:
+            read("sensor_msgs/msg/CompressedImage", "cdr", cdr("CompressedImage", format=text, data=array(data)))
+        assert caught.value.reason == "depth is measured, not seen"
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding", "seen"),
+    [
+        ("/camera/depth/image_rect_raw", "16UC1", False),
+        ("/camera/depth/image_rect_raw", "mono16", False),
+        ("/camera/aligned_depth_to_color/image_raw/compressed", "16UC1", False),
+        ("/stereo/disparity", "mono8", False),
+        ("/thermal", "32FC1", False),
+        ("/camera/depth/image_rect_raw", "bgr8", True),
+        ("/camera/depth/image_rect_raw", "mono8", True),
+        ("/depth_camera/ir/image_raw", "mono16", True),
+        ("/depth/infra1/image", "16UC1", True),
+        ("/depthai/left", "16UC1", True),
+        ("/thermal/image_raw", "16UC1", True),
+    ],
+)
+def test_what_is_depth(topic: str, encoding: str, seen: bool) -> None:
+    record = RawImage(0, "", 1, 1, encoding, 0, False, bytes(16))
+    if seen:
+        check_seen(record, topic)
+    else:
+        with pytest.raises(DepthError):
+            check_seen(record, topic)
+
+
+@pytest.mark.parametrize("options", [{}, {"write_content_size": False}])
+def test_messages_that_were_compressed(options: dict[str, bool]) -> None:
+    message = MESSAGES["sensor_msgs/msg/Image", "cdr"]
+    packed = zstandard.ZstdCompressor(**options).compress(message)
+    assert read("sensor_msgs/msg/Image", "cdr", packed) == expected("Image")
+    for cut in range(len(packed)):
+        with pytest.raises(UndecodableError):
+            read("sensor_msgs/msg/Image", "cdr", packed[:cut])
+
+
+def test_compressed_bombs_fill_no_memory() -> None:
+    for options in ({}, {"write_content_size": False}):
+        bomb = zstandard.ZstdCompressor(level=19, **options).compress(bytes(300 << 20))
+        tracemalloc.start()
+        with pytest.raises(UndecodableError):
+            read("sensor_msgs/msg/Image", "cdr", bomb)
+        assert tracemalloc.get_traced_memory()[1] < (280 << 20 if options else 16 << 20)
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(("sec", "stamp"), [(0, 5), (-3, -3 * 10**9 + 5), (2**40, 0), (-(2**62), 0), (10**50, 0)])

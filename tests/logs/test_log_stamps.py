@@ -65,8 +65,32 @@ def test_a_pause_of_days_that_the_log_saw_too_is_no_fault() -> None:
     assert not clock.faults
 
 
+@pytest.mark.parametrize("unit", [SECOND, SECOND // 10, SECOND // 100])
+@pytest.mark.parametrize("begin", [0, 400_000_000, 987_654_321])
+def test_headers_that_count_coarsely_are_spread_by_the_log(unit: int, begin: int) -> None:
+    """30 Hz or twice the unit, whichever is faster, from anywhere within the unit, cut off or rounded."""
+    step = min(SECOND // 30, unit // 2 + 1)
+    true = [EPOCH + begin + k * step for k in range(100)]
+    for shift in (0, unit // 2):
+        notes: list[str] = []
+        clock = StampClock("drive", "header", notes)
+        found = [clock.stamp((time + shift) // unit * unit, message(time + 77)) for time in true]
+        assert all(0 <= second - first - step < unit or second - first == step for first, second in pairwise(found))
+        after = next(k for k in range(1, 100) if (true[k] + shift) // unit == (true[k - 1] + shift) // unit)
+        assert all(second - first == step for first, second in pairwise(found[after - 1 :]))
+        assert all(abs(stamp - time) <= unit for stamp, time in zip(found, true, strict=True))
+        assert len(notes) == 1
+        assert not clock.faults
+
+
+def test_one_header_that_comes_twice_changes_nothing_else() -> None:
+    headers = [EPOCH + 1234567 * k for k in (0, 1, 1, 3, 4)]
+    assert stamps(headers, [100 * k for k in range(5)])[0] == [*headers[:2], headers[1] + 100, *headers[3:]]
+
+
 def test_repeated_frames_and_stopped_clocks_are_refused() -> None:
-    assert stamps([EPOCH, EPOCH, EPOCH + 1], [1, 2, 3])[0] == [EPOCH, None, EPOCH + 1]
+    assert stamps([0, 0, 0], [1, 1, 3], "log")[0] == [1, None, 3]
+    assert stamps([0, 0, 0], [1, 1, 3], "publish")[0] == [8, None, 10]
     assert stamps([EPOCH, 0, EPOCH + 1], [5, 5, 6])[0] == [EPOCH, None, EPOCH + 1]
     assert stamps([0, 0], [2**64 - 1, 3])[0] == [None, 3]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from frontend.sources.reading import UndecodableError
-from logs.images.video import VideoDecoder
+from logs.images.video import Shown, VideoDecoder
 from logs.messages.types import VideoPacket, is_key_frame
 from tests.helpers.camera_messages import STAMP_NS, picture
 
@@ -60,11 +60,15 @@ def run(packets: list[VideoPacket]) -> tuple[list[list[tuple[int, np.ndarray]]],
     images, failures = [], {}
     for place, packet in enumerate(packets):
         try:
-            images.append(decoder.feed(packet))
+            images.append(stamped(decoder.feed(packet, place)))
         except UndecodableError as error:
             failures[place] = error.reason
             images.append([])
-    return [*images, decoder.flush()], failures
+    return [*images, stamped(decoder.flush())], failures
+
+
+def stamped(found: list[Shown]) -> list[tuple[int, np.ndarray]]:
+    return [(shown.stamp_ns, shown.image) for shown in found]
 
 
 def check(images: list[tuple[int, np.ndarray]], numbers: list[int]) -> None:
@@ -136,10 +140,10 @@ def test_missing_h265_picture_is_noticed(name: str) -> None:
 def test_empty_packet_does_not_end_the_stream(name: str) -> None:
     decoder = VideoDecoder()
     packets = stream(name)
-    check(decoder.feed(packets[0]), [0])
+    check(stamped(decoder.feed(packets[0])), [0])
     with pytest.raises(UndecodableError):
         decoder.feed(VideoPacket(0, "", name, b""))
-    check(decoder.feed(packets[1]), [1])
+    check(stamped(decoder.feed(packets[1])), [1])
 
 
 def exp_golomb(number: int) -> str:
@@ -162,9 +166,9 @@ def test_huge_h264_picture() -> None:
 def test_change_of_format(name: str) -> None:
     other = "h265" if name == "h264" else "h264"
     decoder = VideoDecoder()
-    check(decoder.feed(stream(name)[0]), [0])
-    check(decoder.feed(stream(other)[0]), [0])
-    check(decoder.feed(stream(name)[GROUP]), [GROUP])
+    check(stamped(decoder.feed(stream(name)[0])), [0])
+    check(stamped(decoder.feed(stream(other)[0])), [0])
+    check(stamped(decoder.feed(stream(name)[GROUP])), [GROUP])
 
 
 @both
@@ -184,9 +188,9 @@ def test_mutated_streams(name: str, b_frames: int, capfd: pytest.CaptureFixture[
             if rng.random() < 0.1:
                 del data[rng.integers(len(data)) :]
             with suppress(UndecodableError):
-                found += decoder.feed(VideoPacket(packet.stamp_ns, "", name, bytes(data)))
-        found += decoder.flush()
+                found += stamped(decoder.feed(VideoPacket(packet.stamp_ns, "", name, bytes(data))))
+        found += stamped(decoder.flush())
         assert {stamp for stamp, _ in found} <= {packet.stamp_ns for packet in stream(name, b_frames)}
-    images = [image for packet in stream(name, b_frames) for image in decoder.feed(packet)]
-    check(images + decoder.flush(), list(range(COUNT)))
+    images = [image for packet in stream(name, b_frames) for image in stamped(decoder.feed(packet))]
+    check(images + stamped(decoder.flush()), list(range(COUNT)))
     assert capfd.readouterr().err == ""

@@ -1,0 +1,109 @@
+"""Late messages and clocks that step back: what is sorted, what keeps its order, what is left out."""
+
+from __future__ import annotations
+
+from random import Random
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs.files import LogMessage, TopicType
+from logs.messages.types import EncodedImage
+from logs.order import WINDOW, Entry, StampOrder
+
+EPOCH = 1_700_000_000 * 10**9
+STEP = 10**8
+
+
+def ordered(stamps: list[int], logged: list[int], data: list[bytes] | None = None):
+    """What came out, what was refused by number, and the order itself."""
+    refused: dict[int, str] = {}
+    order = StampOrder(lambda entry, reason: refused.update({entry.number: reason}))
+    found = []
+    for number, (stamp_ns, log_ns) in enumerate(zip(stamps, logged, strict=True)):
+        message = LogMessage("/camera", TopicType("", ""), log_ns, log_ns, b"")
+        content = b"%d" % number if data is None else data[number]
+        found += order.add(Entry(number, message, EncodedImage(stamp_ns, "", content)))
+        assert len(order._held) <= 2 * WINDOW
+    return [*found, *order.flush()], refused, order
+
+
+def test_late_messages_are_put_where_they_belong() -> None:
+    arrival = [0, 2, 1, 3, 4, 6, 7, 8, 5, 9, 11, 10]
+    true = [EPOCH + number * STEP for number in arrival]
+    logged = [max(true[: k + 1]) + 1000 + k for k in range(12)]
+    found, refused, order = ordered(true, logged)
+    assert [entry.stamp_ns for entry in found] == sorted(true)
+    assert [entry.number for entry in found] == list(range(12))
+    assert [int(entry.record.data) for entry in found] == [arrival.index(number) for number in range(12)]
+    assert order.late == 3
+    assert not refused
+
+
+def test_what_is_later_than_the_window_is_left_out() -> None:
+    arrival = [number for number in range(60) if number != 20]
+    arrival.insert(45, 20)
+    true = [EPOCH + number * STEP for number in arrival]
+    found, refused, _ = ordered(true, [EPOCH + k * STEP for k in range(60)])
+    assert [entry.stamp_ns for entry in found] == [EPOCH + number * STEP for number in range(60) if number != 20]
+    assert refused == {45: "it was logged too late for its time"}
+
+
+def test_the_same_message_again_is_left_out() -> None:
+    arrival = [0, 1, 1, 2, 3, 1, 4]
+    stamps = [EPOCH + number * STEP for number in arrival]
+    found, refused, _ = ordered(stamps, [EPOCH + k for k in range(7)], [b"%d" % number for number in arrival])
+    assert [entry.stamp_ns for entry in found] == [EPOCH + number * STEP for number in range(5)]
+    assert list(refused.values()) == ["it repeats the frame before it"] * 2
+
+
+def test_one_wrong_stamp_moves_nothing() -> None:
+    stamps = [EPOCH + number * STEP for number in range(40)]
+    stamps[25] -= 73 * STEP // 10
+    found, refused, order = ordered(stamps, [EPOCH + number * STEP + 5 for number in range(40)])
+    assert [entry.stamp_ns for entry in found] == stamps
+    assert not refused
+    assert order.late == 0
+
+
+@given(
+    late=st.lists(st.integers(0, WINDOW), min_size=1, max_size=50),
+    uniform=st.booleans(),
+    random=st.randoms(use_true_random=False),
+)
+@settings(max_examples=400, deadline=None)
+def test_any_order_within_the_window_comes_out_sorted(late: list[int], uniform: bool, random: Random) -> None:
+    arrival = sorted(range(len(late)), key=lambda k: (k + late[k], random.random()))
+    jitter = [random.randint(-STEP // 20, STEP // 20) for _ in late]
+    stamps = [EPOCH + number * STEP + jitter[number] for number in arrival]
+    logged = [EPOCH + k * STEP for k in range(len(late))]  # arrivals at a steady rate, or as they were sent
+    if not uniform:
+        logged = [max(stamps[: k + 1]) + 10**6 + k for k in range(len(late))]
+    found, refused, _ = ordered(stamps, logged)
+    assert [entry.stamp_ns for entry in found] == sorted(stamps)
+    assert [entry.number for entry in found] == list(range(len(late)))
+    assert not refused
+
+
+@given(
+    before=st.integers(WINDOW + 1, 50),
+    behind=st.integers(1, 50),
+    back=st.floats(1.05, 80),
+    random=st.randoms(use_true_random=False),
+)
+@settings(max_examples=400, deadline=None)
+def test_a_clock_that_steps_back_keeps_the_order(before: int, behind: int, back: float, random: Random) -> None:
+    true = [EPOCH + k * STEP for k in range(before + behind)]
+    stamps = [time - (int(back * STEP) if k >= before else 0) for k, time in enumerate(true)]
+    stamps = [stamp_ns + random.randint(-STEP // 50, STEP // 50) for stamp_ns in stamps]
+    found, refused, _ = ordered(stamps, [time + 10**7 + random.randint(0, STEP // 4) for time in true])
+    assert [entry.stamp_ns for entry in found] == stamps
+    assert not refused
+
+
+@given(st.lists(st.integers(-(2**62), 2**64) | st.integers(EPOCH, EPOCH + 30 * STEP), max_size=60))
+@settings(max_examples=200, deadline=None)
+def test_no_message_is_lost_or_made(stamps: list[int]) -> None:
+    found, refused, _ = ordered(stamps, [EPOCH + k for k in range(len(stamps))])
+    assert sorted([*(int(entry.record.data) for entry in found), *refused]) == list(range(len(stamps)))
+    assert [entry.number for entry in found] == sorted({entry.number for entry in found})
