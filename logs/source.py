@@ -18,7 +18,9 @@ from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.orientation import Turns
 from frontend.sources.reading import Image, Skips, UndecodableError
+from frontend.sources.stills import Still
 from logs.calibration import camera_from_log
 from logs.files import LogFile, LogMessage, TopicType
 from logs.files.mcap_file import McapFile
@@ -78,6 +80,7 @@ class LogImageSource(Source):
         self._seen = 0
         self._first_skipped: float = inf
         self.notes = []
+        self._turns = Turns(self.notes, autorotate)
         try:
             self._topic, depth = choose_seen(file, topic)
         except InputError:
@@ -96,6 +99,10 @@ class LogImageSource(Source):
     @property
     def skipped(self) -> int:
         return self._skips.count
+
+    @property
+    def orientation(self) -> str:
+        return self._turns.words
 
     @property
     def kind(self) -> str:
@@ -160,13 +167,15 @@ class LogImageSource(Source):
         decoder, clock = ImageDecoder(), StampClock(self.name, self._time_source, self.notes)
         start_ns, number = self._landing(clock) if self._start_ns else (None, 0)
         wanted_ns = self.first_stamp_ns + self._start_ns if self._start_ns else 0
-        waiting: deque[tuple[int, int, Future[Image]]] = deque()
+        waiting: deque[tuple[int, int, Future[Still]]] = deque()
 
         def stills(most: int) -> Iterator[tuple[int, int, Image]]:
             while len(waiting) > most:
                 number, stamp_ns, still = waiting.popleft()
                 try:
-                    yield number, stamp_ns, decoder.eight_bits(still.result())
+                    image, header = still.result()
+                    self._turns.add(header.exif)
+                    yield number, stamp_ns, decoder.eight_bits(image)
                 except UndecodableError as error:
                     self._skip(number, error)
 
@@ -194,11 +203,11 @@ class LogImageSource(Source):
                     if stamp_ns < wanted_ns:
                         continue
                     if isinstance(record, EncodedImage):
-                        waiting.append((number, stamp_ns, pool.submit(decode_still, record)))
+                        waiting.append((number, stamp_ns, pool.submit(decode_still, record, self._autorotate)))
                         yield from stills(_AHEAD)
                     else:
                         yield from stills(0)
-                        yield number, stamp_ns, decoder.eight_bits(decode_still(record))
+                        yield number, stamp_ns, decoder.eight_bits(decode_still(record).image)
                 except UndecodableError as error:
                     self._skip(number, error)
             yield from stills(0)

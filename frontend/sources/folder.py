@@ -16,7 +16,7 @@ from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources.listing import ImageRow, folder_of, list_images
-from frontend.sources.orientation import in_words
+from frontend.sources.orientation import Turns
 from frontend.sources.pages import open_pages
 from frontend.sources.reading import Image, Skips, UndecodableError
 from frontend.sources.stills import Header, read_still
@@ -48,7 +48,6 @@ class FolderSource(Source):
     kind: str
     notes: list[str]
     codec: str = ""
-    orientation: str = "as stored"
     calibration: str | None = None
     frame_count: int
     first_stamp_ns: int
@@ -76,8 +75,12 @@ class FolderSource(Source):
         self._found = find_calibration(place) if calibrated and place else None
         self._misfit = False
         self._autorotate = autorotate
-        self._turns_differ = False
+        self._turns = Turns(self.notes, autorotate)
         self._several = 0  # files of which only the first picture is taken
+
+    @property
+    def orientation(self) -> str:
+        return self._turns.words
 
     @property
     def skipped(self) -> int:
@@ -118,7 +121,7 @@ class FolderSource(Source):
 
     def _look_at(self, row: ImageRow, image: Image, header: Header, *, first: bool) -> None:
         """Refuse depth, and note what was done to an image."""
-        turned = in_words(header.exif, autorotate=self._autorotate)
+        self._turns.add(header.exif)
         if first:
             if image.ndim == 2 and says_depth(row.path):
                 raise InputError(
@@ -127,14 +130,7 @@ class FolderSource(Source):
                 )
             if image.ndim == 2 and image.itemsize == 2:
                 self.notes.append("grey of 16 bits is taken for what a camera sees, such as heat, not for depth")
-            self.codec, self.orientation = header.codec, turned
-            if header.exif != 1 and self._autorotate:
-                self.notes.append(f"images are {turned}, as the file says: --no-autorotate leaves them as stored")
-        elif turned != self.orientation and not self._turns_differ:
-            self._turns_differ = True
-            self.notes.append(
-                f"images are not all turned alike: the first {self.orientation}, '{row.path.name}' {turned}"
-            )
+            self.codec = header.codec
         if header.pictures > 1 and self._pages is None:
             self._several += 1
             note = f"files with several pictures, of which the first is taken: {self._several}; give one file for all"

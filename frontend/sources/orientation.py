@@ -40,3 +40,24 @@ def in_words(exif: int, *, autorotate: bool = True) -> str:
         return "as stored"
     done = f"{_WORDS[exif]} (EXIF {exif})"
     return done if autorotate else f"as stored, not {done}"
+
+
+class Turns:
+    """What a source says of how its pictures were turned: `words` for `Source.orientation`, and notes."""
+
+    def __init__(self, notes: list[str], autorotate: bool) -> None:
+        self.words = in_words(1)
+        self._notes, self._autorotate = notes, autorotate
+        self._first: int | None = None
+        self._differ = False
+
+    def add(self, exif: int) -> None:
+        """Take the next picture's orientation."""
+        words = in_words(exif, autorotate=self._autorotate)
+        if self._first is None:
+            self._first, self.words = exif, words
+            if exif != 1 and self._autorotate:
+                self._notes.append(f"images are {words}, as their files say: --no-autorotate leaves them as stored")
+        elif exif != self._first and not self._differ:
+            self._differ = True
+            self._notes.append(f"images are not all turned alike: the first are {self.words}, others {words}")

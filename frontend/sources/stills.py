@@ -62,7 +62,12 @@ class Still(NamedTuple):
 
 
 def decode_encoded(data: Bytes, autorotate: bool = True) -> Image:
-    """The image in a file, from any thread; see `read_still`.
+    """The image in a file; see `read_only_still`."""
+    return read_only_still(data, autorotate).image
+
+
+def read_only_still(data: Bytes, autorotate: bool = True) -> Still:
+    """The picture in a file, from any thread; see `read_still`.
 
     Raises:
         UndecodableError: as there, and for an animation or several pages.
@@ -70,7 +75,7 @@ def decode_encoded(data: Bytes, autorotate: bool = True) -> Image:
     header = read_header(data)
     if header.pictures > 1:
         raise UndecodableError("animated image is not readable" if header.durations_ns else "file has several pages")
-    return decode_picture(data, header, autorotate)
+    return Still(decode_picture(data, header, autorotate), header)
 
 
 def read_still(data: Bytes, autorotate: bool = True) -> Still:

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frontend.sources.orientation import upright
 from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import decode_encoded
+from frontend.sources.stills import Header, Still, read_only_still
 from logs.messages.types import BAYER, EncodedImage, RawImage, VideoPacket
 
 if TYPE_CHECKING:
@@ -123,19 +124,19 @@ def _contradiction(raw: RawImage) -> UndecodableError:
     return UndecodableError("image size contradicts its data", f"{len(raw.data)} bytes are no {claim}")
 
 
-def decode_still(record: RawImage | EncodedImage) -> Image:
-    """The image of one record, from any thread; see `decode_pixels` and `decode_encoded`.
+def decode_still(record: RawImage | EncodedImage, autorotate: bool = True) -> Still:
+    """The image of one record, from any thread; see `decode_pixels` and `read_only_still`.
 
     A file with one channel whose message says that it is a Bayer mosaic is made a colour image, as a raw one is.
     """
     if isinstance(record, RawImage):
-        return decode_pixels(record)
-    image = decode_encoded(record.data)
-    if record.encoding not in BAYER or image.ndim == 3 or min(image.shape) < _SMALLEST_BAYER:
-        return image
-    conversion = _LAYOUTS[record.encoding].conversion
-    assert conversion is not None
-    return cast("Image", cv2.cvtColor(image, conversion))
+        return Still(decode_pixels(record), Header(record.encoding))
+    image, header = read_only_still(record.data, autorotate=False)
+    if record.encoding in BAYER and image.ndim == 2 and min(image.shape) >= _SMALLEST_BAYER:
+        conversion = _LAYOUTS[record.encoding].conversion
+        assert conversion is not None
+        image = cast("Image", cv2.cvtColor(image, conversion))
+    return Still(upright(image, header.exif) if autorotate else image, header)
 
 
 class ImageDecoder:
@@ -161,7 +162,7 @@ class ImageDecoder:
         """
         if isinstance(record, VideoPacket):
             return [shown.image for shown in self.video.feed(record)]
-        return [self.eight_bits(decode_still(record))]
+        return [self.eight_bits(decode_still(record).image)]
 
     def eight_bits(self, image: Image) -> NDArray[np.uint8]:
         """The image itself, or the 8-bit version of a 16-bit one on the topic's steady scale."""

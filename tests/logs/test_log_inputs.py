@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from airline.errors import InputError
 from logs import LogImageSource, McapImageSource, open_images
+from tests.frontend.test_image_files import as_stored, saved
 from tests.helpers import log_pictures as pictures
 from tests.helpers.camera_logs import Channel, Logged, text, write_log
 from tests.helpers.camera_messages import cdr, image_fields
@@ -345,7 +346,7 @@ def test_depth_is_refused_by_what_it_is(tmp_path: Path, kind: str) -> None:
     ("messages", "kind", "reason"),
     [
         ([cdr("Image", stamp_ns=5, **image_fields(bytes(64), 4, 4, "ycbcr9", 16))], "Image", "'ycbcr9'"),
-        ([compressed(b"II*\0" + bytes(30), 5, "tiff")], "CompressedImage", "no JPEG, PNG or WebP image"),
+        ([compressed(b"\0\1\2\3" + bytes(30), 5, "jpeg")], "CompressedImage", "no image file that is known"),
         ([compressed(b"\0\0\0\1\x09\x10", 5, "theora")], "CompressedImage", "waits for a key frame"),
     ],
 )
@@ -369,6 +370,26 @@ def test_unknown_video_is_named(tmp_path: Path) -> None:
         list(McapImageSource(tmp_path / "a.mcap"))
 
 
+# Orientation
+
+
+@pytest.mark.parametrize(("exif", "words"), [(6, "turned by 90 degrees clockwise"), (3, "turned by 180 degrees")])
+def test_compressed_images_are_turned_upright(tmp_path: Path, exif: int, words: str) -> None:
+    files = [saved(as_stored(numbered(k), exif), "PNG", exif) for k in range(3)]
+    messages = [compressed(data, stamp(k), "png") for k, data in enumerate(files)]
+    path = write_log(tmp_path / "a.mcap", {"/camera": logged(messages)})
+    source = McapImageSource(path)
+    shown(source, count=3)
+    assert source.orientation == f"{words} (EXIF {exif})"
+    assert source.notes == [
+        f"images are {words} (EXIF {exif}), as their files say: --no-autorotate leaves them as stored"
+    ]
+    left = McapImageSource(path, autorotate=False)
+    np.testing.assert_array_equal(next(iter(left)).image, as_stored(numbered(0), exif))
+    assert left.orientation == f"as stored, not {words} (EXIF {exif})"
+    assert not left.notes
+
+
 # What a log is taken for
 
 
@@ -379,7 +400,7 @@ def test_info(tmp_path: Path) -> None:
     rows = dict(line.split(":", 1) for line in outcome.out.splitlines())
     rows = {name: value.strip() for name, value in rows.items()}
     assert rows["kind"] == "MCAP, /camera (sensor_msgs/msg/CompressedImage as cdr)"
-    assert rows["size"] == "256x128, colour, 8 bits"
+    assert rows["size"] == "256x128 colour, 8 bits"
     assert (rows["frames"], rows["codec"], rows["rate"]) == (str(COUNT), "h264", "30 frames/s")
     assert rows["first time"].startswith("1700000000.123456789 s")
     assert rows["last time"].startswith(f"{stamp(COUNT - 1) * 1e-9:.3f}")
