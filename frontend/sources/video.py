@@ -85,15 +85,21 @@ class VideoSource(Source):
             self._stream = self._video_stream()
             self._describe(text, fps)
             self._start_ns = 0
+            self._shows_damage = False
             self._begin()
             first = self._read()
+            if first is None and self._damaged and self._pipe is None:
+                self._shows_damage = True  # better than nothing
+                self._reopen()
+                first = self._read()
             if first is None:
                 raise InputError(self._nothing())
         except BaseException:
             self.close()
             raise
         self._first = first
-        self._origin = first.key
+        self._origin = first.key if self._times else None
+        self._number = self._position - 1  # of the first picture
         self.orientation = in_words(self._exif(first.frame), autorotate=autorotate)
         if autorotate and self._exif(first.frame) != 1:
             self.notes.append(f"pictures are {self.orientation}, as the file says; --no-autorotate leaves them")
@@ -210,8 +216,6 @@ class VideoSource(Source):
     def _describe(self, text: str, fps: float) -> None:
         """Set what the container says of the video."""
         stream, container = self._stream, self._container
-        stream.thread_type = "AUTO"
-        stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
         suffix, names = Path(text).suffix[1:].lower(), container.format.name.split(",")
         self.kind = f"{self.kind} ({suffix if suffix in names else names[0]})"
         self.codec = stream.codec_context.codec.canonical_name
@@ -221,8 +225,12 @@ class VideoSource(Source):
         unit = stream.time_base
         self._unit_ns = unit.numerator * 10**9, unit.denominator
         rate = stream.average_rate or stream.guessed_rate
-        self._fps = float(rate) if rate and 0 < rate < 10_000 else _DEFAULT_FPS
-        self._timeless = bool(container.format.flags & av.format.Flags.no_timestamps.value)
+        self._fps = float(rate) if rate and 0 < rate < 10_000 else fps
+        self._coded_order = "avi" in names  # of its times
+        self._times = True
+        if container.format.flags & av.format.Flags.no_timestamps.value and not stream.codec_context.framerate:
+            self._times, self._fps = False, fps
+            self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
         duration_s = None
         if stream.duration:
             duration_s = float(stream.duration * unit)
@@ -238,8 +246,16 @@ class VideoSource(Source):
         if self.frame_count is not None and duration_s is not None:
             self.last_stamp_ns = max(round((duration_s - 1 / self._fps) * 1e9), 0)
 
+    def _reopen(self) -> None:
+        self._container.close()
+        self._container = self._open()
+        self._stream = self._video_stream()
+        self._begin()
+
     def _begin(self) -> None:
-        """Read from where the container stands."""
+        """Read a container from its begin."""
+        self._stream.thread_type = "AUTO"
+        self._stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
         self._position = 0  # frames passed, damaged ones included
         self._last: tuple[int, int] | None = None  # index and stamp of the latest frame
         self._restart()
@@ -275,7 +291,7 @@ class VideoSource(Source):
             if packet is not None and not packet.size:
                 continue
             if packet is not None and not packet.is_discard:
-                key = packet.pts if packet.pts is not None else packet.dts
+                key = packet.dts if packet.pts is None or self._coded_order else packet.pts
                 if key is not None:
                     heapq.heappush(self._waiting, key)
             try:
@@ -287,7 +303,7 @@ class VideoSource(Source):
                 self._damaged += 1
                 frames = []
             for frame in frames:
-                if frame.is_corrupt:
+                if frame.is_corrupt and not self._shows_damage:
                     self._error = "its pictures are not whole"
                     self._damaged += 1
                 else:
@@ -301,8 +317,8 @@ class VideoSource(Source):
         frame = next(self._pictures, None)
         if frame is None:
             return None
-        key: int | None = frame.pts
-        if key is None and self._waiting:  # the container has decoding times only
+        key: int | None = None if self._coded_order else frame.pts
+        if key is None and self._waiting:
             key = self._waiting[0] if self._stream.codec_context.has_b_frames else frame.dts
         passed = 0
         while key is not None and self._waiting and self._waiting[0] <= key:
@@ -317,7 +333,9 @@ class VideoSource(Source):
     def _place(self, found: _Picture) -> tuple[int, int]:
         """Number and stamp of a picture; a time that does not advance is replaced by the frame rate's."""
         index = self._position - 1
-        stamp = self._elapsed_ns(found) or 0
+        stamp = self._elapsed_ns(found)
+        if stamp is None:
+            stamp = round((index - self._number) * 1e9 / self._fps)
         if self._last is not None and stamp <= self._last[1]:
             stamp = self._last[1] + round((index - self._last[0]) * 1e9 / self._fps)
         self._last = index, stamp
@@ -367,23 +385,19 @@ class VideoSource(Source):
                 self._position = round(elapsed_ns * self._fps / 1e9) + 1
                 return found
             back_ns = 2 * back_ns + 10**9
-        self._container.close()
-        self._container = self._open()
-        self._stream = self._video_stream()
-        self._stream.thread_type = "AUTO"
-        self._begin()
+        self._reopen()
         return self._read()
 
     def _count_lost_tail(self) -> None:
         """Count the frames that the container states behind the last readable one.
 
-        With a slack, for trimmed files count hidden frames, and only where time is missing too, for some containers
+        With a slack, for some containers count the delay of B-frames, and only where time is missing too, for some
         state their duration times the highest frame rate.
         """
         stated = self.frame_count or 0
         seconds = 0.0 if self._last is None else self._last[1] / 1e9
         lost = min(stated - self._position, round(stated - 1 - seconds * self._fps))
-        if lost > 1 + 0.02 * stated:
+        if lost > (3 if self._stream.codec_context.has_b_frames else 1) + 0.02 * stated:
             self._skips.add(f"frame {self._position}, where the file ends", lost)
 
     def _nothing(self) -> str:
