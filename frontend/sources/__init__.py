@@ -47,7 +47,7 @@ def open_source(
         return LiveSource(text)
     if kind == "missing" and "://" in text:
         stream = LiveSource(text, reconnect_s)
-        if not (stream.is_recording and text.lower().startswith(("http://", "https://"))):
+        if not stream.is_recording:
             return stream
         stream.close()
     elif kind == "log" or (kind in ("missing", "unknown") and suffix in kinds.LOG_SUFFIXES):

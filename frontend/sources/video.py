@@ -73,7 +73,7 @@ class VideoSource(Source):
 
     def __init__(self, path: str | os.PathLike[str], *, autorotate: bool = True, fps: float = _DEFAULT_FPS) -> None:
         text = kinds.local_name(path)
-        self._title = repr(kinds.without_password(text))
+        self._title = "the standard input" if text == kinds.STDIN else f"'{kinds.without_password(text)}'"
         self._autorotate = autorotate
         self._pipe: _Pipe | None = None
         self._is_url = kinds.is_url(text)
@@ -146,7 +146,7 @@ class VideoSource(Source):
         if kind == "pipe":
             self.name, self.kind = Path(text).stem, "video stream from a pipe"
             if text == kinds.STDIN:
-                self._title, self.kind = "the standard input", "video stream from stdin"
+                self.kind = "video stream from stdin"
             self._pipe = pipe = _Pipe(text)
             self._check(pipe.start)
             return lambda: self._opened(pipe, "pipe", {}, None)
@@ -155,8 +155,7 @@ class VideoSource(Source):
         if kind in ("missing", "camera"):
             raise InputError(f"there is no video file {self._title}")
         if kind == "device":
-            what = "the terminal" if text == kinds.STDIN else "a device"
-            raise InputError(f"{self._title} is {what}, no video: name a video file, or send one through a pipe")
+            raise InputError(f"{self._title} is a device, no video file: name one, or send a video through a pipe")
         self._check(kinds.start_of(text))
         path = Path(text)
         # Absolute, so that FFmpeg takes no part of the name for a protocol.
@@ -188,11 +187,9 @@ class VideoSource(Source):
             self._raise_interrupt()
             if self._is_url:
                 raise InputError(f"cannot open {self._title} ({_reason(error)}): is the address right?") from None
-            hint = ""
-            if self._pipe is not None and self._pipe.start[4:8] == b"ftyp":
-                hint = "; an MP4 whose index is at its end cannot come through a pipe: name the file, or send Matroska"
             raise InputError(
-                f"{self._title} is no video that can be read: it is empty, cut short or of an unknown format{hint}"
+                self._unpipeable()
+                or f"{self._title} is no video that can be read: it is empty, cut short or of an unknown format"
             ) from None
 
     def _video_stream(self) -> VideoStream:
@@ -241,7 +238,7 @@ class VideoSource(Source):
         timed = None if duration_s is None else round(duration_s * self._fps)
         if timed is not None and (stated <= 0 or ("mp4" in names and timed < stated)):  # hidden pictures count there
             stated = timed
-        self.frame_count = stated if 0 < stated < 1e9 else None
+        self.frame_count = stated if 0 < stated < 1e9 and self._pipe is None else None
         self.last_stamp_ns = None
         if self.frame_count is not None and duration_s is not None:
             self.last_stamp_ns = max(round((duration_s - 1 / self._fps) * 1e9), 0)
@@ -262,6 +259,7 @@ class VideoSource(Source):
 
     def _restart(self) -> None:
         self._waiting: list[int] = []  # times of the packets whose pictures have not come, a heap
+        self._newest: int | None = None
         self._damaged = 0  # packets whose pictures will not come
         self._error = ""
         self._pictures = self._decoded()
@@ -292,8 +290,11 @@ class VideoSource(Source):
                 continue
             if packet is not None and not packet.is_discard:
                 key = packet.dts if packet.pts is None or self._coded_order else packet.pts
+                if key is None and self._newest is not None:  # damage has taken its time
+                    key = self._newest + 1
                 if key is not None:
                     heapq.heappush(self._waiting, key)
+                self._newest = key
             try:
                 frames = self._stream.codec_context.decode(packet)
             except av.error.EOFError:
@@ -317,18 +318,20 @@ class VideoSource(Source):
         frame = next(self._pictures, None)
         if frame is None:
             return None
-        key: int | None = None if self._coded_order else frame.pts
-        if key is None and self._waiting:
-            key = self._waiting[0] if self._stream.codec_context.has_b_frames else frame.dts
+        key: int | None = frame.dts if frame.pts is None or self._coded_order else frame.pts
         passed = 0
         while key is not None and self._waiting and self._waiting[0] <= key:
             passed += heapq.heappop(self._waiting) < key
-        lost = self._damaged if key is None else min(self._damaged, passed)
+        # without damage these were no frames: the other halves of interlaced ones, or pictures to predict from
+        self._skip(self._damaged if key is None else passed if self._damaged else 0)
+        self._position += 1
+        return _Picture(key, frame)
+
+    def _skip(self, lost: int) -> None:
         if lost:
             self._skips.add(f"frame {self._position}", lost)
-            self._damaged -= lost
-        self._position += lost + 1
-        return _Picture(key, frame)
+            self._damaged = max(self._damaged - lost, 0)
+            self._position += lost
 
     def _place(self, found: _Picture) -> tuple[int, int]:
         """Number and stamp of a picture; a time that does not advance is replaced by the frame rate's."""
@@ -383,24 +386,34 @@ class VideoSource(Source):
             found = self._read()
             if found is not None and 0 < (elapsed_ns := self._elapsed_ns(found) or 0) <= start_ns:
                 self._position = round(elapsed_ns * self._fps / 1e9) + 1
+                self._skips = Skips(self.name)  # what was damaged lies before
                 return found
             back_ns = 2 * back_ns + 10**9
         self._reopen()
         return self._read()
 
     def _count_lost_tail(self) -> None:
-        """Count the frames that the container states behind the last readable one.
+        """Count the frames behind the last readable one, as far as their packets came or the container states them.
 
         With a slack, for some containers count the delay of B-frames, and only where time is missing too, for some
         state their duration times the highest frame rate.
         """
+        if self._damaged:
+            self._skip(len(self._waiting))
         stated = self.frame_count or 0
         seconds = 0.0 if self._last is None else self._last[1] / 1e9
         lost = min(stated - self._position, round(stated - 1 - seconds * self._fps))
         if lost > (3 if self._stream.codec_context.has_b_frames else 1) + 0.02 * stated:
             self._skips.add(f"frame {self._position}, where the file ends", lost)
 
+    def _unpipeable(self) -> str:
+        if self._pipe is None or self._pipe.start[4:8] != b"ftyp":
+            return ""
+        return f"{self._title} sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS"
+
     def _nothing(self) -> str:
+        if reason := self._unpipeable():
+            return reason
         codec = self._stream.codec_context
         if codec.width * codec.height > MOST_PIXELS:
             return f"{self._title} holds pictures of {codec.width}x{codec.height}: more than {MOST_PIXELS} pixels are not read"
