@@ -81,10 +81,14 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             save, viewer = wiring.where_to_record(options, source.name, server)
 
             said: list[str] = []
+            ours: list[str] = []
 
             def sinks() -> Iterator[Sink]:  # opens them, when the first frame is there
                 said.extend(source.notes)
-                print_notes(said)
+                turned = video is not None and not source.orientation.startswith("as stored")
+                if turned:
+                    ours.append("Rerun does not turn videos: the recording has the frames as JPEGs instead of the video")
+                print_notes([*said, *ours])
                 if source.calibration is not None:
                     hint = "" if config.input.calib else f"; --calib {NO_CALIBRATION} leaves it out"
                     print(f"calibration: {source.calibration}{hint}", flush=True)
@@ -98,10 +102,11 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                         stride=stride,
                     )
                 if save is not None or viewer is not None:
-                    yield wiring.open_recording(save, viewer, source.name, config, video)
+                    yield wiring.open_recording(save, viewer, source.name, config, None if turned else video)
 
             code, summary = process(source, config, sinks())
         print_notes(summary.notes[len(said) :])
+        summary.notes.extend(ours)
         report(options, summary, save, track_files)
         if server is not None and code == 0:
             wiring.wait_for_interrupt(server)

@@ -123,6 +123,8 @@ class LiveSource(Source):
 def _has_length(url: str) -> bool:
     """Whether a server says how long a file is; a live playlist is a file, too, but no video."""
     parts = urlsplit(url)
+    if parts.path.lower().endswith((".m3u8", ".mpd")):
+        return False
     request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl(), method="HEAD")
     if "@" in parts.netloc:
         user = unquote(parts.netloc.rpartition("@")[0])
