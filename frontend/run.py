@@ -87,7 +87,9 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 said.extend(source.notes)
                 turned = video is not None and not source.orientation.startswith("as stored")
                 if turned:
-                    ours.append("Rerun does not turn videos: the recording has the frames as JPEGs instead of the video")
+                    ours.append(
+                        "Rerun does not turn videos: the recording has the frames as JPEGs instead of the video"
+                    )
                 print_notes([*said, *ours])
                 if source.calibration is not None:
                     hint = "" if config.input.calib else f"; --calib {NO_CALIBRATION} leaves it out"

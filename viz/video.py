@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +35,8 @@ class VideoReferences:
 
         codec, self._size, hidden = _examined(path)
         # Rerun shows what an edit list hides, and so has to be told what comes before the first picture
-        for contents in (lambda: _remuxed(path, codec),) if hidden else (path.read_bytes, lambda: _remuxed(path, codec)):
+        ways: list[Callable[[], bytes]] = [path.read_bytes, lambda: _remuxed(path, codec)]
+        for contents in ways[1:] if hidden else ways:
             with suppress(RuntimeError, av.FFmpegError):
                 self._asset = rr.AssetVideo(contents=contents(), media_type="video/mp4")
                 self._stamps = np.sort(self._asset.read_frame_timestamps_nanos())[hidden:]
@@ -84,7 +85,7 @@ def _hidden(packets: Iterator[Packet[VideoStream]]) -> int:
 
 
 def _remuxed(path: Path, codec: str) -> bytes:
-    """The same pictures in a fresh .mp4: from another container, with headers that Rerun's parser trips over, or hidden.
+    """The same pictures in a fresh .mp4: from another container, or with headers that Rerun's parser trips over.
 
     They begin at zero, hidden ones too, as they do for Rerun, which heeds no edit list.
     """

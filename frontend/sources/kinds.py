@@ -46,6 +46,7 @@ _PACKINGS = {
     b"Rar!\x1a\x07": _Packing("RAR", (".rar",), "unrar x {file}"),
 }
 _TAR = _Packing("tar", (".tar",), "tar xf {file}")
+_TARRED = "a tar archive"
 
 
 def local_name(spec: str | os.PathLike[str]) -> str:
@@ -112,12 +113,19 @@ def packed_error(title: str, start: bytes) -> InputError:
     path = Path(title)
     known = path.suffix.lower() in packing.suffixes
     out = path.with_suffix("") if known else path.with_name(f"{path.name}.unpacked")
-    command = packing.command.format(file=shlex.quote(title), out=shlex.quote(str(out)))
     inside = _inside(start, packing, out)
-    tarred = inside == "a tar archive" and not out.suffix == ".unpacked"
-    command = f"tar xf {shlex.quote(title)}" if tarred else command
-    what = f"{inside} packed by {packing.name}" if inside else f"a {packing.name} archive"
-    return InputError(f"'{title}' is {what}: unpack it first with `{command}` and give what comes out")
+    command = (_TAR if inside == _TARRED else packing).command.format(
+        file=shlex.quote(title), out=shlex.quote(str(out))
+    )
+    holds = f" and holds {inside}" if inside else ""
+    return InputError(
+        f"'{title}' is packed by {packing.name}{holds}: unpack it first with `{command}`, and give what comes out"
+    )
+
+
+def is_text(start: bytes) -> bool:
+    """Whether a file begins as text does."""
+    return bool(start) and all(byte >= 32 or byte in b"\t\n\r\f" for byte in start)
 
 
 def _packing(start: bytes) -> _Packing | None:
@@ -145,11 +153,9 @@ def _inside(start: bytes, packing: _Packing, out: Path) -> str:
         if head.startswith(magic):
             return name
     if head[257:262] == b"ustar" or out.suffix.lower() == ".tar":
-        return "a tar archive"
-    return {
-        "image": "an image",
-        "video": "a video",
-    }.get(kind_of_content(head), "") or _named(first) or _named(out.name)
+        return _TARRED
+    told = {"image": "an image", "video": "a video"}.get(kind_of_content(head), "")
+    return told or _named(first) or _named(out.name)
 
 
 def _named(name: str) -> str:
@@ -166,8 +172,8 @@ def _named(name: str) -> str:
 def _is_still(start: bytes) -> bool:
     if start.startswith(_STILLS) or (start[:4] == b"RIFF" and start[8:12] == b"WEBP"):
         return True
-    if start[:2] == b"BM" and start[6:10] == bytes(4) and start[14:18] in (b"\x0c\0\0\0", b"\x28\0\0\0", b"\x6c\0\0\0", b"\x7c\0\0\0"):
+    if start[:2] == b"BM" and int.from_bytes(start[14:18], "little") in (12, 40, 52, 56, 64, 108, 124):
         return True
-    if re.match(rb"P[1-7]\s+(#[^\n]*\s+)*(\d|WIDTH)", start):
+    if re.match(rb"P[1-7]\s+(#[^\n]*\n\s*)*(\d|WIDTH)", start):
         return True
     return start[4:8] == b"ftyp" and start[8:12] in _STILL_BRANDS

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import heapq
 import logging
-import math
 import os
 import re
 import select
 import threading
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,6 +38,7 @@ _TIMEOUT_S = 5.0
 _RETRY = {"reconnect": "1", "reconnect_on_network_error": "1", "reconnect_delay_max": "5"}
 _PROTOCOLS = {"file": "file,crypto,data", "url": "http,https,tcp,tls,httpproxy,crypto,data"}
 _POLL_S = 0.2
+_TEXT_CODECS = ("ansi", "bintext", "xbin", "idf")  # FFmpeg renders text as a video of scrolling terminal output
 
 
 class _Picture(NamedTuple):
@@ -75,6 +76,8 @@ class VideoSource(Source):
         text = kinds.local_name(path)
         self._title = "the standard input" if text == kinds.STDIN else f"'{kinds.without_password(text)}'"
         self._autorotate = autorotate
+        self._lock, self._closed = threading.Lock(), False
+        self._reformatter = VideoReformatter()
         self._pipe: _Pipe | None = None
         self._is_url = kinds.is_url(text)
         self._open = self._opener(text)
@@ -131,9 +134,9 @@ class VideoSource(Source):
 
     def close(self) -> None:
         self.stop()
-        self._container.close()
-        if self._pipe is not None:
-            self._pipe.close()
+        with self._lock:  # FFmpeg does not survive being closed while it reads
+            self._closed = True
+            self._container.close()
 
     def _opener(self, text: str) -> Callable[[], InputContainer]:
         """How the input is opened, once and for all; also names it."""
@@ -148,7 +151,7 @@ class VideoSource(Source):
             if text == kinds.STDIN:
                 self.kind = "video stream from stdin"
             self._pipe = pipe = _Pipe(text)
-            self._check(pipe.start)
+            self._check(text, pipe.start)
             return lambda: self._opened(pipe, "pipe", {}, None)
         if kind == "folder":
             raise InputError(f"{self._title} is a folder, not a video file")
@@ -156,7 +159,7 @@ class VideoSource(Source):
             raise InputError(f"there is no video file {self._title}")
         if kind == "device":
             raise InputError(f"{self._title} is a device, no video file: name one, or send a video through a pipe")
-        self._check(kinds.start_of(text))
+        self._check(text, kinds.start_of(text))
         path = Path(text)
         # Absolute, so that FFmpeg takes no part of the name for a protocol.
         name = str(path.absolute())
@@ -167,13 +170,13 @@ class VideoSource(Source):
         self.name, self.kind = path.stem, "video file"
         return lambda: self._opened(name, _PROTOCOLS["file"], {}, None)
 
-    def _check(self, start: bytes) -> None:
+    def _check(self, text: str, start: bytes) -> None:
         """Refuse by its first bytes what FFmpeg would take for something else, or could not name."""
-        kind = kinds.kind_of_content(start, Path(self._title.strip("'")).suffix.lower())
+        kind = kinds.kind_of_content(start, Path(text).suffix.lower())
         if kind == "log":
             raise InputError(f"{self._title} is a log: open it with logs.open_images")
         if kind == "packed":
-            raise kinds.packed_error(self._title.strip("'"), start)
+            raise kinds.packed_error(text, start)
         if kind == "image":
             raise InputError(f"{self._title} is a single picture, no video: it is read as an image")
         if not start:
@@ -182,24 +185,26 @@ class VideoSource(Source):
     def _opened(self, place: Any, protocols: str, more: dict[str, str], timeout: Any) -> InputContainer:
         limits = {"protocol_whitelist": protocols, "max_pixels": str(MOST_PIXELS), **more}
         try:
-            return av.open(place, "r", options=limits, metadata_errors="replace", timeout=timeout)
+            made: InputContainer = av.open(place, "r", options=limits, metadata_errors="replace", timeout=timeout)
+            return made
         except (av.FFmpegError, OSError, ValueError) as error:
             self._raise_interrupt()
             if self._is_url:
                 raise InputError(f"cannot open {self._title} ({_reason(error)}): is the address right?") from None
-            raise InputError(
-                self._unpipeable()
-                or f"{self._title} is no video that can be read: it is empty, cut short or of an unknown format"
-            ) from None
+            if self._unpipeable():
+                raise InputError(self._unpipeable()) from None
+            start = self._pipe.start if self._pipe is not None else kinds.start_of(place)
+            what = "text" if kinds.is_text(start) else "empty, cut short or of an unknown format"
+            raise InputError(f"{self._title} is no video that can be read: it is {what}") from None
 
     def _video_stream(self) -> VideoStream:
         """The container's first video that is no cover picture."""
         streams = self._container.streams
         form = self._container.format.name
-        if form == "tty" or any(stream.codec_context and stream.codec_context.name == "ansi" for stream in streams.video):
+        if any(stream.codec_context and stream.codec_context.name in _TEXT_CODECS for stream in streams.video):
             raise InputError(f"{self._title} holds text, no readable video frame: give a video file")
         if form.endswith("_pipe") or form in ("image2", "ico"):
-            raise InputError(f"{self._title} is a single picture ({form.removesuffix('_pipe')}), no video: convert it to PNG")
+            raise InputError(f"{self._title} is a single picture, no video: convert it to PNG")
         for stream in streams.video:
             if not stream.disposition & Disposition.attached_pic:
                 if stream.codec_context is None:
@@ -214,18 +219,19 @@ class VideoSource(Source):
         """Set what the container says of the video."""
         stream, container = self._stream, self._container
         suffix, names = Path(text).suffix[1:].lower(), container.format.name.split(",")
-        self.kind = f"{self.kind} ({suffix if suffix in names else names[0]})"
+        self.kind = f"{self.kind} ({suffix if suffix in names else 'mp4' if 'mp4' in names else names[0]})"
         self.codec = stream.codec_context.codec.canonical_name
         pixels = stream.codec_context.format
         if pixels is not None and any(part.bits > 8 for part in pixels.components):
             self.codec += f" ({pixels.name})"
-        unit = stream.time_base
+        unit = stream.time_base or Fraction(1, av.time_base)
         self._unit_ns = unit.numerator * 10**9, unit.denominator
         rate = stream.average_rate or stream.guessed_rate
         self._fps = float(rate) if rate and 0 < rate < 10_000 else fps
         self._coded_order = "avi" in names  # of its times
         self._times = True
-        if container.format.flags & av.format.Flags.no_timestamps.value and not stream.codec_context.framerate:
+        no_times = container.format.flags & int(av.format.Flags.no_timestamps.value)
+        if no_times and not stream.codec_context.framerate:
             self._times, self._fps = False, fps
             self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
         duration_s = None
@@ -233,7 +239,6 @@ class VideoSource(Source):
             duration_s = float(stream.duration * unit)
         elif container.duration and container.duration > 0:
             duration_s = container.duration / av.time_base
-        self._seconds = duration_s
         stated = stream.frames
         timed = None if duration_s is None else round(duration_s * self._fps)
         if timed is not None and (stated <= 0 or ("mp4" in names and timed < stated)):  # hidden pictures count there
@@ -271,7 +276,10 @@ class VideoSource(Source):
         while True:
             packet: Any = None
             try:
-                packet = next(packets, None)
+                with self._lock:
+                    if self._closed:
+                        return
+                    packet = next(packets, None)
                 failed = 0
             except av.error.InvalidDataError as error:
                 failed += 1
@@ -284,9 +292,7 @@ class VideoSource(Source):
             except (av.FFmpegError, OSError) as error:
                 self._raise_interrupt()
                 raise InputError(f"cannot read more of {self._title}: {_reason(error)}") from None
-            if packet is not None and packet.dts is None and packet.pts is None and not packet.size:
-                packet = None
-            if packet is not None and not packet.size:
+            if packet is not None and not packet.size:  # which a decoder would take for the end
                 continue
             if packet is not None and not packet.is_discard:
                 key = packet.dts if packet.pts is None or self._coded_order else packet.pts
@@ -361,12 +367,10 @@ class VideoSource(Source):
         image: Any = np.require(made.to_ndarray(), requirements=("C", "W"))
         return upright(image, self._exif(frame)) if self._autorotate else image
 
-    _reformatter = VideoReformatter()
-
     def _exif(self, frame: VideoFrame) -> int:
         """How the picture is to be turned, as EXIF numbers it."""
-        data = frame.side_data.get("DISPLAYMATRIX")
-        if data is None or len(bytes(data)) < 36:
+        data: Any = frame.side_data.get("DISPLAYMATRIX")
+        if data is None:
             return 1
         across, down, to_across, to_down = np.frombuffer(bytes(data), np.int32)[[0, 1, 3, 4]].tolist()
         if abs(across) >= abs(down):
@@ -416,7 +420,7 @@ class VideoSource(Source):
             return reason
         codec = self._stream.codec_context
         if codec.width * codec.height > MOST_PIXELS:
-            return f"{self._title} holds pictures of {codec.width}x{codec.height}: more than {MOST_PIXELS} pixels are not read"
+            return f"{self._title} holds pictures of {codec.width}x{codec.height}, more than {MOST_PIXELS} pixels"
         why = f" ({self._error})" if self._error else ""
         return f"{self._title} holds {self.codec} video, but no readable video frame{why}: give a video file"
 
@@ -432,7 +436,7 @@ class _Pipe:
         self.stopped = threading.Event()
         self.interrupt: KeyboardInterrupt | None = None  # no exception passes through FFmpeg
         try:
-            self._file = os.open(path, os.O_RDONLY)
+            self._file = open(path, "rb", buffering=0)  # noqa: PTH123, SIM115  closed with the pipe
         except OSError as error:
             raise InputError(f"cannot read from '{path}': {error.strerror}") from None
         self.start = self._ahead = self._take(1 << 12)
@@ -447,16 +451,11 @@ class _Pipe:
             self.interrupt = interrupt
             return b""
 
-    def close(self) -> None:
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
-
     def _take(self, size: int) -> bytes:
         """What there is, up to so many bytes, as soon as there is any; none at the end."""
         while not self.stopped.is_set():
             if select.select([self._file], [], [], _POLL_S)[0]:
-                return os.read(self._file, size)
+                return self._file.read(size) or b""
         return b""
 
 

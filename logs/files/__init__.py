@@ -95,7 +95,7 @@ def open_log(path: str | os.PathLike[str]) -> LogFile:
 
 
 def is_log(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is a log's: by its content, as a folder that a ROS 2 recorder has written, or by its suffix alone."""
+    """Whether a path is a log's: by content, or as a ROS 2 recorder's folder; by its suffix where these say nothing."""
     log = Path(path)
     kind = kinds.kind_of(str(log))
     if kind == "folder":
