@@ -24,7 +24,7 @@ _START = 512  # bytes that are looked at
 _VIDEO4LINUX = 81  # the major number of its devices
 _CAMERAS = re.compile(r"/dev/(video\d+|v4l/.+)")
 _LOGS = {b"\x89MCAP0\r\n": "an MCAP log", b"#ROSBAG V": "a ROS 1 bag", b"SQLite format 3\0": "a ROS 2 bag"}
-_STILLS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_STILLS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"GIF8")
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1", b"hevc", b"hevx", b"avif", b"avis")
 _MOTION_JPEG = frozenset({".mjpg", ".mjpeg"})  # one JPEG after the other
 
@@ -92,7 +92,7 @@ def kind_of_content(start: bytes, suffix: str = "") -> Kind:
         return "packed"
     if _is_still(start) and suffix not in _MOTION_JPEG:
         return "image"
-    if start[4:8] == b"ftyp" or start.startswith((b"\x1a\x45\xdf\xa3", b"GIF8")) or start[8:12] == b"AVI ":
+    if start[4:8] == b"ftyp" or start.startswith(b"\x1a\x45\xdf\xa3") or start[8:12] == b"AVI ":
         return "video"
     return "unknown"
 

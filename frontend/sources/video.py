@@ -178,7 +178,7 @@ class VideoSource(Source):
         if kind == "packed":
             raise kinds.packed_error(text, start)
         if kind == "image":
-            raise InputError(f"{self._title} is a single picture, no video: it is read as an image")
+            raise InputError(f"{self._title} is an image, no video: open it with frontend.open_source")
         if not start:
             raise InputError(f"{self._title} is empty, or cannot be read: give a video file")
 
@@ -230,8 +230,8 @@ class VideoSource(Source):
         self._fps = float(rate) if rate and 0 < rate < 10_000 else fps
         self._coded_order = "avi" in names  # of its times
         self._times = True
-        no_times = container.format.flags & int(av.format.Flags.no_timestamps.value)
-        if no_times and not stream.codec_context.framerate:
+        no_times: Any = av.format.Flags.no_timestamps
+        if container.format.flags & no_times.value and not stream.codec_context.framerate:
             self._times, self._fps = False, fps
             self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
         duration_s = None
@@ -295,6 +295,7 @@ class VideoSource(Source):
             if packet is not None and not packet.size:  # which a decoder would take for the end
                 continue
             if packet is not None and not packet.is_discard:
+                self._damaged += packet.is_corrupt
                 key = packet.dts if packet.pts is None or self._coded_order else packet.pts
                 if key is None and self._newest is not None:  # damage has taken its time
                     key = self._newest + 1
