@@ -9,6 +9,7 @@ import re
 import select
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -80,11 +81,12 @@ class VideoSource(Source):
         self._reformatter = VideoReformatter()
         self._pipe: _Pipe | None = None
         self._is_url = kinds.is_url(text)
-        self._open = self._opener(text)
-        self._skips = Skips(self.name)
+        self._resources = ExitStack()
         self.notes = []
-        self._container = self._open()
         try:
+            self._open = self._opener(text)
+            self._skips = Skips(self.name)
+            self._container = self._open()
             self._stream = self._video_stream()
             self._describe(text, fps)
             self._start_ns = 0
@@ -136,7 +138,7 @@ class VideoSource(Source):
         self.stop()
         with self._lock:  # FFmpeg does not survive being closed while it reads
             self._closed = True
-            self._container.close()
+            self._resources.close()
 
     def _opener(self, text: str) -> Callable[[], InputContainer]:
         """How the input is opened, once and for all; also names it."""
@@ -151,6 +153,7 @@ class VideoSource(Source):
             if text == kinds.STDIN:
                 self.kind = "video stream from stdin"
             self._pipe = pipe = _Pipe(text)
+            self._resources.callback(pipe.close)
             self._check(text, pipe.start)
             return lambda: self._opened(pipe, "pipe", {}, None)
         if kind == "folder":
@@ -186,7 +189,6 @@ class VideoSource(Source):
         limits = {"protocol_whitelist": protocols, "max_pixels": str(MOST_PIXELS), **more}
         try:
             made: InputContainer = av.open(place, "r", options=limits, metadata_errors="replace", timeout=timeout)
-            return made
         except (av.FFmpegError, OSError, ValueError) as error:
             self._raise_interrupt()
             if self._is_url:
@@ -196,6 +198,8 @@ class VideoSource(Source):
             start = self._pipe.start if self._pipe is not None else kinds.start_of(place)
             what = "text" if kinds.is_text(start) else "empty, cut short or of an unknown format"
             raise InputError(f"{self._title} is no video that can be read: it is {what}") from None
+        self._resources.callback(made.close)
+        return made
 
     def _video_stream(self) -> VideoStream:
         """The container's first video that is no cover picture."""
@@ -451,6 +455,9 @@ class _Pipe:
         except KeyboardInterrupt as interrupt:
             self.interrupt = interrupt
             return b""
+
+    def close(self) -> None:
+        self._file.close()
 
     def _take(self, size: int) -> bytes:
         """What there is, up to so many bytes, as soon as there is any; none at the end."""
