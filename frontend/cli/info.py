@@ -29,7 +29,7 @@ def describe(source: Source) -> str:
     rows = {
         "kind": source.kind,
         "size": f"{width}x{height}, {grey}, {bits} bits",
-        "frames": "?" if count is None else f"{count}",
+        "frames": f"{count}" if count is not None else "live, no end" if source.live else "?",
         "first time": _time(begin_ns),
         "last time": "?" if end_ns is None else _time(end_ns),
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
