@@ -369,7 +369,15 @@ class VideoSource(Source):
             target = "bgr24"
         # the interpolation is that of chroma, for pixels like those of OpenCV
         made = self._reformatter.reformat(frame, format=target, interpolation=Interpolation.BICUBIC)
-        image: Any = np.require(made.to_ndarray(), requirements=("C", "W"))
+        plane: Any = made.planes[0]
+        depth = np.uint16 if target == "gray16le" else np.uint8
+        rows = np.frombuffer(plane, depth).reshape(frame.height, -1)
+        channels = 3 if target == "bgr24" else 1
+        image: Any = np.ascontiguousarray(rows[:, : frame.width * channels])
+        if made is frame and image.base is not None:  # the decoder's own memory
+            image = image.copy()
+        if channels == 3:
+            image = image.reshape(frame.height, frame.width, 3)
         return upright(image, self._exif(frame)) if self._autorotate else image
 
     def _exif(self, frame: VideoFrame) -> int:
