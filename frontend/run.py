@@ -83,11 +83,16 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             save, viewer = wiring.where_to_record(options, source.name, server)
 
             said = 0
+            ours: list[str] = []
 
             def sinks(first: Frame) -> Iterator[Sink]:  # opens them
                 nonlocal said
+                turned = video is not None and not source.orientation.startswith("as stored")
+                if turned:
+                    ours.append("Rerun does not turn videos, so the recording has the frames as JPEGs")
                 results = [*_written(save, track_files), *filter(None, [viewer and f"into the viewer at {viewer}"])]
-                print(introduce(source, first, results, found=not config.input.calib), flush=True)
+                notes = [*source.notes, *ours]
+                print(introduce(source, first, notes, results, found=not config.input.calib), flush=True)
                 said = len(source.notes)
                 yield from publishers  # first, so that nobody there waits for the others
                 for spec in options.out:
@@ -99,11 +104,12 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                         stride=stride,
                     )
                 if save is not None or viewer is not None:
-                    yield wiring.open_recording(save, viewer, source.name, config, video)
+                    yield wiring.open_recording(save, viewer, source.name, config, None if turned else video)
 
             code, summary = process(source, config, sinks)
         for note in summary.notes[said:]:
             print(f"note: {note}")
+        summary.notes.extend(ours)
         report(options, summary, save, track_files)
         if server is not None and code == 0:
             wiring.wait_for_interrupt(server)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
+
+if TYPE_CHECKING:
+    from av import Packet
+    from av.video.stream import VideoStream
 
 CODECS = ("h264", "hevc", "av1")  # what Rerun plays out of mp4
 OTHERWISE = "use --log-image jpeg"
@@ -25,11 +31,15 @@ class VideoReferences:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        codec, self._size = _codec_and_size(path)
-        for contents in (path.read_bytes, lambda: _remuxed(path, codec)):
-            self._asset = rr.AssetVideo(contents=contents(), media_type="video/mp4")
-            with suppress(RuntimeError):
-                self._stamps = np.sort(self._asset.read_frame_timestamps_nanos())
+        import av
+
+        codec, self._size, hidden = _examined(path)
+        # Rerun shows what an edit list hides, and so has to be told what comes before the first picture
+        ways: list[Callable[[], bytes]] = [path.read_bytes, lambda: _remuxed(path, codec)]
+        for contents in ways[1:] if hidden else ways:
+            with suppress(RuntimeError, av.FFmpegError):
+                self._asset = rr.AssetVideo(contents=contents(), media_type="video/mp4")
+                self._stamps = np.sort(self._asset.read_frame_timestamps_nanos())[hidden:]
                 if len(self._stamps):
                     return
         raise ConfigError(f"Rerun cannot play {path}: {OTHERWISE}")
@@ -47,7 +57,8 @@ class VideoReferences:
         stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=int(nearest)))
 
 
-def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:
+def _examined(path: Path) -> tuple[str, tuple[int, int], int]:
+    """Codec and size of a video, and how many pictures are hidden before the first."""
     import av  # FFmpeg takes time to import
 
     if not path.is_file():
@@ -56,15 +67,28 @@ def _codec_and_size(path: Path) -> tuple[str, tuple[int, int]]:
         with av.open(str(path)) as container:
             video = container.streams.video[0].codec_context
             codec, size = video.codec.canonical_name, (video.width, video.height)
+            hidden = _hidden(container.demux(video=0))
     except (av.FFmpegError, OSError, IndexError) as reason:
         raise ConfigError(f"{path} is no video that Rerun can play ({reason}): {OTHERWISE}") from None
     if codec not in CODECS:
         raise ConfigError(f"Rerun plays {', '.join(CODECS)}, and {path} is {codec}: {OTHERWISE}")
-    return codec, size
+    return codec, size, hidden
+
+
+def _hidden(packets: Iterator[Packet[VideoStream]]) -> int:
+    first = next(packets, None)
+    if first is None or not first.is_discard:
+        return 0
+    rest = [packet for packet in packets if packet.pts is not None]
+    begin = min((packet.pts or 0 for packet in rest if not packet.is_discard), default=0)
+    return 1 + sum(packet.is_discard and (packet.pts or 0) < begin for packet in rest)
 
 
 def _remuxed(path: Path, codec: str) -> bytes:
-    """The same pictures in a fresh .mp4: from another container, or with headers that Rerun's parser trips over."""
+    """The same pictures in a fresh .mp4: from another container, or with headers that Rerun's parser trips over.
+
+    They begin at zero, hidden ones too, as they do for Rerun, which heeds no edit list.
+    """
     import av
     from av.bitstream import BitStreamFilterContext
 
@@ -73,7 +97,11 @@ def _remuxed(path: Path, codec: str) -> bytes:
         read = source.streams.video[0]
         written = target.add_stream_from_template(read)
         headers = BitStreamFilterContext(f"{codec}_metadata", read, written)
-        for packet in source.demux(read):
+        packets = list(source.demux(read))
+        begin = min((packet.pts for packet in packets if packet.pts is not None), default=0)
+        for packet in packets:
+            if packet.pts is not None and packet.dts is not None:
+                packet.pts, packet.dts = packet.pts - begin, packet.dts - begin
             for clean in headers.filter(packet):
                 clean.stream = written
                 target.mux(clean)

@@ -10,7 +10,10 @@ from airline import __version__
 from airline.command import Parser
 from frontend.cli.settings import RunConfig
 
-INPUT = "video file, image folder or glob, camera index, stream URL or log (default: the built-in clip)"
+INPUT = (
+    "video, image folder or pattern, log, camera (0, /dev/video0), URL, or - for a video on stdin "
+    "(default: the built-in clip)"
+)
 OUT = "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/, FILE.bag or plvins.mcap; may be given several times"
 PUBLISH = (
     "send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "

@@ -28,7 +28,7 @@ def describe(source: Source) -> str:
     rows = {
         "kind": source.kind,
         "size": _size(first),
-        "frames": "?" if count is None else f"{count}",
+        "frames": f"{count}" if count is not None else "live, no end" if source.live else "?",
         "first time": _time(first.stamp_ns),
         "last time": "?" if end_ns is None else _time(end_ns),
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
@@ -42,7 +42,7 @@ def describe(source: Source) -> str:
     return _lines(rows, source.notes)
 
 
-def introduce(source: Source, first: Frame, results: Sequence[str], *, found: bool) -> str:
+def introduce(source: Source, first: Frame, notes: Sequence[str], results: Sequence[str], *, found: bool) -> str:
     """What a run begins with: its input, the camera or what it costs to have none, its results, what was guessed.
 
     `found` says that the calibration was looked for, and not given.
@@ -55,7 +55,7 @@ def introduce(source: Source, first: Frame, results: Sequence[str], *, found: bo
         calibration = "the input's own"
     else:
         calibration = f"{source.calibration}{f'; --calib {NO_CALIBRATION} leaves it out' if found else ''}"
-    return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, source.notes, results)
+    return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, notes, results)
 
 
 def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:

@@ -33,12 +33,13 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         spec: a log, or whatever `frontend.open_source` takes; None for the built-in clip.
         config: the settings.
     """
-    from frontend.sources import open_source
+    from frontend.sources import kinds, open_source
     from frontend.sources.pace import FreshFrames, RealtimeSource
     from frontend.sources.wrapped import CalibratedFrames, SelectedFrames, UncalibratedFrames
     from logs.files import is_log
 
     chosen = config.input
+    spec = None if spec is None else kinds.local_name(spec)
     calibration = None
     if chosen.calib_file is not None:
         from frontend.camera.calibration import read_calibration
@@ -84,12 +85,13 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
 
 def list_topics(spec: str | None) -> str:
     """The cameras of a log, as a table; raises InputError where there is none."""
+    from frontend.sources.kinds import local_name
     from logs.files import open_log
     from logs.topics import as_text, camera_topics, choose_topic
 
     if spec is None:
         raise InputError("--list-topics needs a log: name an .mcap file, a .bag file or a bag folder")
-    with closing(open_log(spec)) as file:
+    with closing(open_log(local_name(spec))) as file:
         rows = camera_topics(file)
         if not rows:
             choose_topic(file.topics, None)  # says what the log holds instead
@@ -130,6 +132,8 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
 
 def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
     """The input's file if it stands for the frames in the recording."""
+    from frontend.sources import kinds
+
     if config.recording.image != "video":
         return None
     if config.input.resize is not None or config.input.undistort:
@@ -138,18 +142,25 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
         from frontend.sources.scene import CLIP
 
         return CLIP
-    return Path(spec)
+    text = kinds.local_name(spec)
+    if kinds.is_url(text) or kinds.kind_of(text) in ("folder", "camera", "device", "pipe", "log", "image"):
+        shown = kinds.without_password(spec)
+        raise ConfigError(f"--log-image video needs a video file as its input, not {shown}: use --log-image jpeg")
+    return Path(text)
 
 
 def open_recording(
     save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
 ) -> Sink:
-    """The Rerun recording, into a file, a viewer or both."""
+    """The Rerun recording, into a file, a viewer or both; frames are JPEGs unless `video` is the file of them."""
     from msgspec.structs import asdict
 
     from viz.rerun_sink import RerunSink
 
-    return RerunSink(save=save, connect=viewer, name=name, video=video, **asdict(config.recording))
+    settings = asdict(config.recording)
+    if settings["image"] == "video" and video is None:
+        settings["image"] = "jpeg"
+    return RerunSink(save=save, connect=viewer, name=name, video=video, **settings)
 
 
 def has_display() -> bool:

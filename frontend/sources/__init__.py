@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 from airline.errors import InputError
 from frontend.protocols import Source
@@ -19,11 +18,12 @@ def open_source(
     calibrated: bool = True,
     autorotate: bool = True,
 ) -> Source:
-    """Open whatever `spec` names. What exists on disk comes first.
+    """Open whatever `spec` names. What exists on disk comes first, and its content decides, not its name.
 
     Args:
-        spec: a video file, a folder of images or one image, a glob pattern, a camera's number or a stream's URL.
-        fps: frames per second of images without times.
+        spec: a video file, a folder of images or one image, a glob pattern, a camera's number or device, a URL of a
+            stream or a recording, a named pipe, or "-" for a video on the standard input.
+        fps: frames per second of images, and of raw video, without times.
         reconnect_s: for how long a network stream that drops is tried again, seconds; see `LiveSource`.
         calibrated: take the calibration that lies with a folder's images; see `FolderSource`.
         autorotate: turn pictures upright as their EXIF data or the video file says.
@@ -32,19 +32,32 @@ def open_source(
         InputError: it cannot be read.
         ConfigError: an argument that is impossible.
     """
+    from pathlib import Path
+
+    from frontend.sources import kinds
     from frontend.sources.folder import FolderSource
-    from frontend.sources.listing import IMAGE_SUFFIXES
+    from frontend.sources.listing import IMAGE_SUFFIXES, is_pattern
     from frontend.sources.live import LiveSource
+
+    text = kinds.local_name(spec)
+    kind, suffix = kinds.kind_of(text), Path(text).suffix.lower()
+    if kind == "missing" and text.isascii() and text.isdigit():
+        return LiveSource(int(text[:9]))
+    if kind == "camera":
+        return LiveSource(text)
+    if kind == "missing" and "://" in text:
+        stream = LiveSource(text, reconnect_s)
+        if not stream.is_recording:
+            return stream
+        stream.close()
+    elif kind == "log" or (kind in ("missing", "unknown") and suffix in kinds.LOG_SUFFIXES):
+        raise InputError(f"'{text}' is a log: open it with logs.open_images")
+    elif (
+        kind in ("folder", "image")
+        or (kind in ("missing", "unknown") and suffix in IMAGE_SUFFIXES)
+        or (kind == "missing" and is_pattern(text))
+    ):
+        return FolderSource(text, fps, calibrated=calibrated, autorotate=autorotate)
     from frontend.sources.video import VideoSource
 
-    text = os.fspath(spec)
-    exists, suffix = os.path.exists(text), Path(text).suffix.lower()  # noqa: PTH110  pathlib raises for long names
-    if suffix in (".mcap", ".bag", ".db3"):
-        raise InputError(f"'{text}' is a log: open it with logs.open_images")
-    if not exists and text.isascii() and text.isdigit():
-        return LiveSource(int(text[:9]))
-    if not exists and "://" in text:
-        return LiveSource(text, reconnect_s)
-    if suffix in IMAGE_SUFFIXES or os.path.isdir(text) or (not exists and set("*?[") & set(text)):  # noqa: PTH112
-        return FolderSource(text, fps, calibrated=calibrated, autorotate=autorotate)
-    return VideoSource(text, autorotate=autorotate)
+    return VideoSource(text, autorotate=autorotate, fps=fps)

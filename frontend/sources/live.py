@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 import logging
 import re
 import threading
 import time
 from collections.abc import Iterator
+from http.client import HTTPException
+from urllib.parse import unquote, urlsplit
+from urllib.request import Request, urlopen
 
 import cv2
 
 from airline.errors import ConfigError, InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.kinds import without_password
 from frontend.sources.reading import Image, quiet, read_image
 
 log = logging.getLogger(__name__)
@@ -28,7 +33,7 @@ class LiveSource(Source):
     go on with the next number, and the gap shows in the stamps, at which the tracker begins anew.
 
     Args:
-        device: a camera's number, or a URL (rtsp://, http://, udp://, ...).
+        device: a camera's number or device (/dev/video0, /dev/v4l/by-id/...), or a URL (rtsp://, http://, udp://, ...).
         reconnect_s: for how many seconds after its last frame a stream is tried; 0 takes its end as the end.
 
     Raises:
@@ -37,7 +42,8 @@ class LiveSource(Source):
     """
 
     name: str
-    live: bool
+    kind: str
+    live = True
     reconnects = 0
 
     def __init__(self, device: int | str, reconnect_s: float = 60.0) -> None:
@@ -45,17 +51,24 @@ class LiveSource(Source):
             raise ConfigError(f"a stream can be reconnected for 0 or more seconds, not {reconnect_s}")
         self._device = device
         self._reconnect_s = reconnect_s
+        self._is_camera = isinstance(device, int) or "://" not in device
+        self.kind = "live camera" if self._is_camera else "live stream"
         # A URL may carry a password, which belongs in no message.
-        self._title = f"camera {device}" if isinstance(device, int) else re.sub(r"//[^/@]*@", "//", device)
+        self._title = f"camera {device}" if self._is_camera else without_password(str(device))
         self._capture = _open(device)
         if not self._capture.isOpened():
-            hint = "is it connected and free?" if isinstance(device, int) else "is the address right and reachable?"
+            hint = "is it connected and free?" if self._is_camera else "is the address right and reachable?"
             raise InputError(f"cannot open {self._title}: {hint}")
-        # a recording behind a URL waits for who reads it
-        self.live = not 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
         self.name = re.sub(r"[^\w.]+", "-", self._title.split("?")[0].split("://")[-1]).strip("-.") or "stream"
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._stopped = threading.Event()
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether what is behind an http URL has an end: better read by `VideoSource`, with its own times."""
+        if not str(self._device).lower().startswith(("http://", "https://")):
+            return False
+        return 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9 or _has_length(str(self._device))
 
     def __iter__(self) -> Iterator[Frame]:
         index = last_ns = 0
@@ -83,10 +96,10 @@ class LiveSource(Source):
         Raises:
             InputError: it does not come back, or it was a camera.
         """
-        if not self.live or (self._reconnect_s == 0 and isinstance(self._device, str)):
-            return None
-        if isinstance(self._device, int):
+        if self._is_camera:
             raise InputError(f"{self._title} sends no more pictures: is it still connected?")
+        if self._reconnect_s == 0:
+            return None
         begin_s = time.monotonic()
         log.warning("%s: the stream was lost: trying to reconnect for %g s", self._title, self._reconnect_s)
         wait_s = _FIRST_WAIT_S
@@ -107,13 +120,32 @@ class LiveSource(Source):
         )
 
 
+def _has_length(url: str) -> bool:
+    """Whether a server says how long a file is; a live playlist is a file, too, but no video."""
+    parts = urlsplit(url)
+    if parts.path.lower().endswith((".m3u8", ".mpd")):
+        return False
+    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl(), method="HEAD")
+    if "@" in parts.netloc:
+        user = unquote(parts.netloc.rpartition("@")[0])
+        request.add_header("Authorization", f"Basic {base64.b64encode(user.encode()).decode()}")
+    try:
+        with urlopen(request, timeout=_TIMEOUT_MS / 1000) as answer:
+            kind = answer.headers.get_content_type()
+            return int(answer.headers.get("Content-Length", 0)) > 0 and "mpegurl" not in kind and "dash" not in kind
+    except (OSError, ValueError, HTTPException):  # many cameras do not answer
+        return False
+
+
 def _open(device: int | str) -> cv2.VideoCapture:
     with quiet():
-        return _open_camera(device) if isinstance(device, int) else _open_stream(device)
+        return _open_stream(device) if isinstance(device, str) and "://" in device else _open_camera(device)
 
 
-def _open_camera(number: int) -> cv2.VideoCapture:
-    return cv2.VideoCapture(number) if number < 100 else cv2.VideoCapture()  # which reads 100, 200, ... as drivers
+def _open_camera(device: int | str) -> cv2.VideoCapture:
+    if isinstance(device, str):
+        return cv2.VideoCapture(device, cv2.CAP_V4L2)
+    return cv2.VideoCapture(device) if device < 100 else cv2.VideoCapture()  # which reads 100, 200, ... as drivers
 
 
 def _open_stream(url: str) -> cv2.VideoCapture:

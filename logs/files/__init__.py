@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airline.errors import InputError
+from frontend.sources import kinds
 from frontend.sources.reading import Bytes
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -77,7 +78,7 @@ def open_log(path: str | os.PathLike[str]) -> LogFile:
     log = Path(path)
     try:
         start = b""
-        if not log.is_dir():
+        if not log.is_dir() and kinds.kind_of(str(log)) not in ("pipe", "device", "camera"):  # which may never answer
             with log.open("rb") as file:
                 start = file.read(16)
     except (OSError, ValueError) as error:
@@ -90,13 +91,18 @@ def open_log(path: str | os.PathLike[str]) -> LogFile:
         from logs.files.bag_file import BagFile
 
         return BagFile(log)
+    if kinds.kind_of(str(log)) == "packed":
+        raise kinds.packed_error(str(log), kinds.start_of(str(log)))
     raise InputError(f"'{log}' is no log: give an MCAP file, a ROS 1 .bag, or the folder or .db3 file of a ROS 2 bag")
 
 
 def is_log(path: str | os.PathLike[str]) -> bool:
-    """Whether a path looks like a log: by its suffix, or as a folder that a ROS 2 recorder has written."""
+    """Whether a path is a log's: by content, or as a ROS 2 recorder's folder; by its suffix where these say nothing."""
     log = Path(path)
-    return log.suffix.lower() in (".mcap", ".bag", ".db3") or _is_bag_folder(log)
+    kind = kinds.kind_of(str(log))
+    if kind == "folder":
+        return _is_bag_folder(log)
+    return kind == "log" or (kind in ("missing", "unknown") and log.suffix.lower() in kinds.LOG_SUFFIXES)
 
 
 def _is_bag_folder(folder: Path) -> bool:

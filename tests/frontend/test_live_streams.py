@@ -133,6 +133,16 @@ def test_a_run_goes_on_when_its_stream_comes_back(tmp_path: Path) -> None:
     assert any(reset.startswith("gap of") for reset in resets)
 
 
+def test_info_of_a_live_stream() -> None:
+    with mjpeg_server() as server:
+        done = command(server.url, "--info")
+    assert done.code == 0
+    rows = dict(line.split(":", 1) for line in done.out.splitlines())
+    assert rows["kind"].strip() == "live stream"
+    assert rows["frames"].strip() == "live, no end"
+    assert "UTC" in rows["first time"]
+
+
 def test_a_camera_that_is_pulled_out_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """No machine of the tests has a camera: a stream that ends stands for one."""
     with mjpeg_server() as server:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-import time
-from functools import partial
-from http.server import HTTPServer, SimpleHTTPRequestHandler
-from itertools import pairwise
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -19,27 +18,13 @@ from airline.errors import InputError
 from frontend.protocols import Source
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
-from frontend.sources.live import LiveSource
 from frontend.sources.video import VideoSource
 from frontend.sources.wrapped import SelectedFrames
 from tests.helpers.command import ROOT
-from tests.helpers.videos import write_video
+from tests.helpers.videos import drawn, encode, number_in, served, trim, write_video
 
 COUNT, FPS, PERIOD_NS = 60, 25, 40_000_000
 KINDS = {"mjpg.avi": "MJPG", "mpeg4.mp4": "mp4v", "mpeg4.avi": "mp4v", "mjpg.mkv": "MJPG"}
-
-
-def drawn(number: int) -> np.ndarray:
-    """A textured picture, so that every frame has its share of bytes, with a bar that tells its number."""
-    texture = np.random.default_rng(0).integers(0, 200, (24, 32, 3), np.uint8)
-    image = cv2.resize(texture, (256, 120), interpolation=cv2.INTER_CUBIC)
-    cv2.rectangle(image, (0, 50), (4 * number, 70), (255, 255, 255), -1)
-    return image
-
-
-def number_in(image: np.ndarray) -> int:
-    """The number that `drawn` drew."""
-    return round(np.count_nonzero(image[60].min(axis=1) > 215) / 4)
 
 
 @pytest.fixture(scope="module")
@@ -207,26 +192,280 @@ def test_no_such_camera_or_stream_fails_fast() -> None:
     assert "secret" not in str(caught.value)
 
 
-def test_http_stream(videos: Path) -> None:
-    class Quiet(SimpleHTTPRequestHandler):
+def content(source: Source) -> tuple[list[int], list[int], list[int]]:
+    """Indices, stamps in ms and numbers in the pictures of all frames."""
+    rows = [(frame.index, round(frame.stamp_ns / 1e6), number_in(np.atleast_3d(frame.image))) for frame in source]
+    source.close()
+    indices, times, numbers = (list(column) for column in zip(*rows, strict=True))
+    return indices, times, numbers
+
+
+def steps(first: int, end: int) -> tuple[list[int], list[int], list[int]]:
+    """What `content` says of whole frames at 25/s."""
+    numbers = list(range(first, end))
+    return numbers, [40 * number for number in numbers], numbers
+
+
+CODECS: dict[str, dict[str, Any]] = {
+    "h264.mp4": {"bf": "2"},
+    "h264.mkv": {"bf": "2"},
+    "h264.avi": {"bf": "2"},
+    "h264.flv": {"bf": "2"},
+    "h264.ts": {"bf": "2"},
+    "h264.h264": {"bf": "2"},
+    "fragments.mp4": {"bf": "2", "container": {"movflags": "frag_keyframe+empty_moov"}},
+    "hevc.mp4": {"codec": "libx265"},
+    "hevc10.mkv": {"codec": "libx265", "pixels": "yuv420p10le"},
+    "av1.mp4": {"codec": "libsvtav1"},
+    "vp9.webm": {"codec": "libvpx-vp9"},
+    "vp8.webm": {"codec": "libvpx"},
+    "mpeg4.avi": {"codec": "mpeg4", "bf": "2", "q": "2"},
+    "prores.mov": {"codec": "prores_ks", "pixels": "yuv422p10le"},
+    "grey.mkv": {"codec": "ffv1", "pixels": "gray"},
+}
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_codecs_and_containers(tmp_path: Path, name: str) -> None:
+    path = encode(tmp_path / name, **CODECS[name])
+    source = VideoSource(path)
+    assert source.kind.startswith("video file (")
+    assert source.codec.startswith(name[:3]) or name[:4] in ("frag", "grey", "mpeg")
+    assert source.notes == []
+    assert content(source) == steps(0, 40)
+    assert source.skipped == 0
+    later = VideoSource(path)
+    later.seek(1.0)
+    assert content(later) == steps(25, 40)
+    assert later.skipped == 0
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixels"),
+    [
+        *[("libx264", pixels) for pixels in ("yuv420p", "yuvj420p", "yuv444p", "yuv420p10le", "yuv422p")],
+        *[("ffv1", pixels) for pixels in ("bgr0", "yuv420p", "gbrp16le", "yuva420p")],
+        ("mpeg4", "yuv420p"),
+        ("mjpeg", "yuvj422p"),
+    ],
+)
+@pytest.mark.parametrize("matrix", [None, 1, 5])  # BT.709, BT.601
+@pytest.mark.parametrize("odd", [False, True])
+def test_colours_are_those_of_opencv(tmp_path: Path, codec: str, pixels: str, matrix: int | None, odd: bool) -> None:
+    if odd and codec == "libx264" and pixels != "yuv444p":
+        pytest.skip("has even sizes only")
+    image = cv2.resize(drawn(20), (253, 119)) if odd else drawn(20)
+    with av.open(str(tmp_path / "clip.mkv"), "w") as file:
+        stream: Any = file.add_stream(codec, rate=25)
+        stream.height, stream.width = image.shape[:2]
+        stream.pix_fmt = pixels
+        if matrix is not None:
+            stream.codec_context.colorspace = matrix
+        frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format=pixels, dst_colorspace=matrix)
+        file.mux([*stream.encode(frame), *stream.encode()])
+    capture = cv2.VideoCapture(str(tmp_path / "clip.mkv"), cv2.CAP_FFMPEG)
+    expected = capture.read()[1]
+    capture.release()
+    (found,) = VideoSource(tmp_path / "clip.mkv")
+    assert found.image.flags.c_contiguous
+    assert found.image.flags.writeable
+    assert np.abs(found.image.astype(int) - expected).max() <= 1
+
+
+@pytest.mark.parametrize(("pixels", "bits"), [("gray", 8), ("gray16le", 16), ("gray10le", 16)])
+def test_grey_video_stays_grey(tmp_path: Path, pixels: str, bits: int) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (119, 255), np.uint8)  # rows that FFmpeg pads
+    pixel_type, scale = (np.uint8, 1) if bits == 8 else (np.uint16, 257)
+    with av.open(str(tmp_path / "clip.mkv"), "w") as file:
+        stream: Any = file.add_stream("ffv1", rate=25)
+        stream.height, stream.width = image.shape
+        stream.pix_fmt = pixels
+        frame = av.VideoFrame.from_ndarray(image, format="gray").reformat(format=pixels)
+        file.mux([*stream.encode(frame), *stream.encode()])
+    (found,) = VideoSource(tmp_path / "clip.mkv")
+    assert found.image.dtype == pixel_type
+    assert found.image.flags.c_contiguous
+    np.testing.assert_allclose(found.image.astype(float), image.astype(float) * scale, atol=0 if bits == 8 else 512)
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "mov"])
+@pytest.mark.parametrize("options", [{"bf": "0"}, {"bf": "2"}, {"codec": "libx265"}])
+def test_what_an_edit_list_hides_is_no_frame(tmp_path: Path, suffix: str, options: dict[str, str], caplog: Any) -> None:
+    whole = encode(tmp_path / "whole.mp4", g="40", **options)
+    source = VideoSource(trim(whole, tmp_path / f"cut.{suffix}", 600))
+    assert source.frame_count == 25
+    assert source.last_stamp_ns == 960_000_000
+    assert content(source) == (*steps(0, 25)[:2], list(range(15, 40)))
+    assert source.skipped == 0
+    assert caplog.records == []
+    later = VideoSource(tmp_path / f"cut.{suffix}")
+    later.seek(0.4)
+    assert content(later) == (*(row[10:] for row in steps(0, 25)[:2]), list(range(25, 40)))
+
+
+def test_a_varying_rate_with_b_frames(tmp_path: Path) -> None:
+    times = [40 * k if k < 20 else 47 * k for k in range(40)]
+    path = encode(tmp_path / "clip.mp4", times_ms=times, bf="2", g="12")
+    assert content(VideoSource(path)) == (list(range(40)), times, list(range(40)))
+    later = VideoSource(path)
+    later.seek(1.0)
+    _, found, numbers = content(later)
+    assert found == [time for time in times if time >= 1000]
+    assert numbers == [k for k, time in enumerate(times) if time >= 1000]
+
+
+def test_raw_video_without_times_takes_a_rate_and_says_so(tmp_path: Path) -> None:
+    path = encode(tmp_path / "clip.mjpeg", "mjpeg", pixels="yuvj420p", q="2")
+    source = open_source(path, fps=20)
+    assert source.notes == ["the video holds no times: 20 frames/s are assumed; --fps gives another rate"]
+    assert content(source) == (list(range(40)), [50 * k for k in range(40)], list(range(40)))
+
+
+ROTATIONS = {
+    (90, False, False): ("turned by 90 degrees counterclockwise", lambda image: np.rot90(image)),
+    (-90, False, False): ("turned by 90 degrees clockwise", lambda image: np.rot90(image, -1)),
+    (180, False, False): ("turned by 180 degrees", lambda image: np.rot90(image, 2)),
+    (0, True, False): ("mirrored", lambda image: image[:, ::-1]),
+    (0, False, True): ("mirrored upside down", lambda image: image[::-1]),
+}
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_pictures_are_turned_upright(tmp_path: Path, rotation: tuple[int, bool, bool]) -> None:
+    words, turn = ROTATIONS[rotation]
+    path = encode(tmp_path / "clip.mp4", count=3, rotation=rotation)
+    plain = VideoSource(path, autorotate=False)
+    assert plain.orientation.startswith("as stored")
+    assert plain.notes == []
+    stored = [frame.image for frame in plain]
+    assert number_in(stored[2]) == 2
+    source = VideoSource(path)
+    assert source.orientation.startswith(words)
+    (note,) = source.notes
+    assert words in note
+    assert "--no-autorotate" in note
+    for frame, image in zip(source, stored, strict=True):
+        assert frame.image.flags.c_contiguous
+        np.testing.assert_array_equal(frame.image, turn(image))
+
+
+@pytest.mark.parametrize("name", ["h264.mkv", "prores.mov", "av1.mp4"])
+def test_frames_behind_damage_keep_number_and_time(tmp_path: Path, name: str) -> None:
+    path = encode(tmp_path / name, **CODECS[name])
+    data = bytearray(path.read_bytes())
+    place = int(0.8 * len(data))  # far behind the first picture, which is most of the file
+    data[place : place + 150] = np.random.default_rng(1).bytes(150)
+    path.write_bytes(data)
+    source = VideoSource(path)
+    frames = list(source)
+    assert source.skipped >= 1
+    assert len(frames) + source.skipped == 40
+    assert all(frame.stamp_ns == frame.index * PERIOD_NS for frame in frames)
+
+
+def write_sound(path: Path) -> None:
+    with av.open(str(path), "w") as file:
+        stream: Any = file.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.sample_rate = 8000
+        file.mux([*stream.encode(frame), *stream.encode()])
+
+
+def test_what_is_no_video_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "x.mp4"
+    write_sound(tmp_path / "x.wav")
+    (tmp_path / "x.wav").rename(path)
+    with pytest.raises(InputError, match="holds audio, no readable video frame"):
+        VideoSource(path)
+    path.write_text("no video\n" * 99)
+    with pytest.raises(InputError, match=r"x\.mp4' is no video that can be read: it is text"):
+        VideoSource(path)
+    path.write_bytes(cv2.imencode(".png", drawn(1))[1].tobytes())
+    with pytest.raises(InputError, match="is an image, no video"):
+        VideoSource(path)
+    path.write_bytes(encode(tmp_path / "whole.mp4").read_bytes().replace(b"avc1", b"zzzz"))
+    with pytest.raises(InputError, match="of a codec that this FFmpeg cannot decode"):
+        VideoSource(path)
+    raw = bytearray(encode(tmp_path / "raw.avi", "rawvideo", 2, pixels="bgr24").read_bytes())
+    place = raw.index(b"strf")
+    raw[place + 12 : place + 20] = (60000).to_bytes(4, "little") * 2
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="rawvideo video, but no readable video frame"):
+        VideoSource(path)
+
+
+@pytest.mark.parametrize("name", ["h264.mp4", "h264.mkv", "h264.ts", "av1.mp4", "mpeg4.avi"])
+def test_a_recording_behind_a_url_has_its_own_times(tmp_path: Path, name: str) -> None:
+    encode(tmp_path / name, **CODECS[name])
+    with served(tmp_path) as url:
+        source = open_source(f"{url}/{name}")
+        assert isinstance(source, VideoSource)
+        assert not source.live
+        assert source.kind.startswith("recording at a URL (")
+        assert source.name == f"{url.removeprefix('http://').replace(':', '-')}-{name}"  # can name a file
+        assert content(source) == steps(0, 40)
+        later = open_source(f"{url}/{name}")
+        later.seek(1.0)
+        assert content(later) == steps(25, 40)
+    assert content(open_source((tmp_path / name).as_uri())) == steps(0, 40)
+
+
+def test_a_finished_playlist_is_a_recording(tmp_path: Path) -> None:
+    whole = encode(tmp_path / "whole.mp4", bf="2", g="12")
+    trim(whole, tmp_path / "clip.m3u8", 0, hls_time="0.4", hls_playlist_type="vod")
+    assert len(list(tmp_path.glob("*.ts"))) > 2
+    with served(tmp_path) as url:
+        assert content(open_source(f"{url}/clip.m3u8")) == steps(0, 40)
+    assert content(open_source(tmp_path / "clip.m3u8")) == steps(0, 40)
+
+
+def test_addresses_that_lead_nowhere_are_said_without_their_password(tmp_path: Path) -> None:
+    (tmp_path / "noise.mp4").write_bytes(np.random.default_rng(0).bytes(9999))
+    with served(tmp_path) as url:
+        for name in ("missing.mp4", "noise.mp4"):
+            place = url.replace("//", "//me:secret@") + f"/{name}"
+            for open_it in (open_source, VideoSource):
+                with pytest.raises(InputError, match=f"cannot open.*{name}") as caught:
+                    open_it(place)
+                assert "secret" not in str(caught.value)
+    with pytest.raises(InputError, match=r"there is no video file '/nowhere/a b\.mp4'"):
+        open_source("file:///nowhere/a%20b.mp4")
+
+
+def test_a_recording_that_breaks_off_is_fetched_on(tmp_path: Path) -> None:
+    """By a server that sends a third of what it was asked for, and then closes."""
+    data = encode(tmp_path / "clip.ts", bf="0", g="10", crf="5").read_bytes()
+
+    class Weak(BaseHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
             """Keep the test's output clean."""
 
-    with HTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(videos))) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        def do_GET(self) -> None:
+            asked = self.headers.get("Range", "bytes=0-")
+            begin = int(asked.removeprefix("bytes=").split("-")[0])
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")
+            self.send_header("Content-Length", str(len(data) - begin))
+            self.end_headers()
+            self.wfile.write(data[begin : begin + len(data) // 3])
+
+    with HTTPServer(("127.0.0.1", 0), Weak) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
         thread.start()
-        before = time.time_ns()
-        source = open_source(f"http://127.0.0.1:{server.server_port}/mjpg.avi")
-        assert isinstance(source, LiveSource)
-        assert source.frame_count is None
-        assert not source.live, "a recording waits for who reads it"
-        assert source.name == f"127.0.0.1-{server.server_port}-mjpg.avi"  # can name a file
-        frames = list(source)
+        try:
+            assert content(VideoSource(f"http://127.0.0.1:{server.server_port}/clip.ts")) == steps(0, 40)
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_closing_while_another_thread_reads(tmp_path: Path) -> None:
+    path = encode(tmp_path / "clip.mp4", count=60)
+    for _ in range(5):
+        source = VideoSource(path)
+        thread = threading.Thread(target=list, args=(source,))
+        thread.start()
         source.close()
-        server.shutdown()
-        thread.join()
-    assert len(frames) == COUNT
-    times = [frame.stamp_ns for frame in frames]
-    assert before <= times[0] <= times[-1] <= time.time_ns() + 1_000_000
-    assert all(first < second for first, second in pairwise(times))
-    assert [number_in(frame.image) for frame in frames[1:]] == list(range(1, len(frames)))
+        thread.join(10)
+        assert not thread.is_alive()
+    assert list(VideoSource(path))[-1].index == 59

@@ -28,6 +28,7 @@ from logs import read_tracks
 from logs.sinks.open import open_track_sink
 from tests.helpers.command import command, python, recorded
 from tests.helpers.sources import Listed
+from tests.helpers.videos import encode
 
 PERIOD_NS = 33_333_333
 
@@ -206,8 +207,20 @@ def test_images_of_floats_are_refused_with_what_to_do(frontend: LineFrontend, im
         frontend.process(replace(Frame(0, 0, image)))
 
 
-def test_a_pipe_is_no_video(tmp_path: Path) -> None:
-    """It would keep whoever opens it waiting."""
-    os.mkfifo(tmp_path / "pipe.mp4")
-    with pytest.raises(InputError, match="there is no video file"):
-        open_source(tmp_path / "pipe.mp4")
+def test_a_pipe_whose_sender_is_killed(tmp_path: Path) -> None:
+    """What came so far is kept."""
+    data = encode(tmp_path / "clip.ts", bf="0").read_bytes()
+    os.mkfifo(tmp_path / "pipe")
+    sender = ["import sys, time; out = open(sys.argv[1], 'wb'); out.write(open(sys.argv[2], 'rb').read())"]
+    sender[0] += "; out.flush(); time.sleep(60)"
+    (tmp_path / "clip.ts").write_bytes(data[: len(data) * 9 // 10])
+    with subprocess.Popen([sys.executable, "-c", *sender, tmp_path / "pipe", tmp_path / "clip.ts"]) as run:
+        source = open_source(tmp_path / "pipe")
+        frames = iter(source)
+        first = next(frames)
+        run.kill()
+        rest = list(frames)
+    source.close()
+    assert first.index == 0
+    assert [frame.stamp_ns for frame in rest] == [40_000_000 * k for k in range(1, 1 + len(rest))]
+    assert 5 < len(rest) < 39

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+import json
 import logging
 import time
 from pathlib import Path
@@ -17,6 +19,7 @@ from frontend.colours import CYCLE, track_colours
 from tests.helpers.command import command, recorded, refusal
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle, trace_of
+from tests.helpers.videos import encode, number_in, trim
 from tests.helpers.viewer import FRAMES, names_of_views, record
 from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
@@ -273,3 +276,48 @@ def test_settings_reach_the_recording(clip, tmp_path):
             sizes[name, quality] = len(blob)
     assert sizes["image", 95] > 3 * sizes["image", 10]
     assert sizes["edges", 95] > 2 * sizes["edges", 10]
+
+
+def test_a_trimmed_video_shows_the_right_pictures(tmp_path):
+    """Rerun shows what an edit list hides, FFmpeg does not."""
+    whole = encode(tmp_path / "whole.mp4", bf="2", g="40")
+    clip = trim(whole, tmp_path / "clip.mp4", 600)
+    path = tmp_path / "run.rrd"
+    assert command(clip, "--log-image", "video", "--save", path).code == 0
+    images = recorded(path)["/camera/image"]
+    times = [row[0] for row in images["VideoFrameReference:timestamp"] if row]
+    assert times == [600_000_000 + 40_000_000 * k for k in range(25)], "of all pictures"
+    (blob,) = (np.uint8(row[0]).tobytes() for row in images["AssetVideo:blob"] if row)
+    with av.open(io.BytesIO(blob)) as file:
+        shown = {round(frame.time * 1e9): number_in(frame.to_ndarray(format="bgr24")) for frame in file.decode(video=0)}
+    assert [shown[time] for time in times] == list(range(15, 40))
+
+
+@pytest.mark.parametrize("name", ["clip.ts", "clip.avi"])
+def test_videos_that_fit_into_no_mp4_are_refused(tmp_path, name):
+    with pytest.raises(ConfigError, match=f"Rerun cannot play .*{name}: use --log-image jpeg"):
+        RerunSink(save=tmp_path / "run.rrd", image="video", video=encode(tmp_path / name, bf="2"))
+
+
+def test_what_is_no_file_cannot_be_logged_as_a_video(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for spec in ("http://me:secret@127.0.0.1:9/clip.mp4", "/dev/video97", tmp_path / "folder"):
+        said = refusal(spec, "--log-image", "video", "--save", tmp_path / "run.rrd")
+        assert "--log-image video needs a video file as its input" in said
+        assert "secret" not in said
+
+
+def test_a_turned_video_is_recorded_as_jpegs(tmp_path):
+    """Rerun does not turn videos, and lines are to lie on the image."""
+    clip = encode(tmp_path / "clip.mp4", count=5, rotation=(180, False, False))
+    path, figures = tmp_path / "run.rrd", tmp_path / "run.json"
+    done = command(clip, "--log-image", "video", "--save", path, "--summary", figures)
+    assert done.code == 0
+    note = "Rerun does not turn videos: the recording has the frames as JPEGs instead of the video"
+    assert f"note: {note}" in done.out
+    assert note in json.loads(figures.read_text())["notes"]
+    blobs = recorded(path)["/camera/image"]["EncodedImage:blob"]
+    pictures = [cv2.imdecode(np.uint8(blob[0]), cv2.IMREAD_COLOR) for blob in blobs]
+    assert [number_in(np.rot90(picture, 2)) for picture in pictures] == list(range(5))
+    assert command(clip, "--log-image", "video", "--no-autorotate", "--save", path, "--overwrite").code == 0
+    assert any(recorded(path)["/camera/image"]["AssetVideo:blob"])
