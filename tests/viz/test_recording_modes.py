@@ -313,7 +313,7 @@ def test_a_turned_video_is_recorded_as_jpegs(tmp_path):
     path, figures = tmp_path / "run.rrd", tmp_path / "run.json"
     done = command(clip, "--log-image", "video", "--save", path, "--summary", figures)
     assert done.code == 0
-    note = "Rerun does not turn videos: the recording has the frames as JPEGs instead of the video"
+    note = "Rerun does not turn videos, so the recording has the frames as JPEGs"
     assert f"note: {note}" in done.out
     assert note in json.loads(figures.read_text())["notes"]
     blobs = recorded(path)["/camera/image"]["EncodedImage:blob"]
