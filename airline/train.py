@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> bool:
     every = list(chain.from_iterable(rest.values()))
     crops = Crops(every, options.seed, options.batch, weight=options.loss_weight, radius=options.loss_radius)
     session = Session(
-        schedule=Schedule(steps, options.minutes, options.rate),
+        schedule=Schedule(steps, options.minutes, options.rate, min(Schedule.warmup, (steps or DEFAULT_STEPS) // 5)),
         validation=Validation(held_out, crops),
         validate_every=options.validate_every,
         settings={

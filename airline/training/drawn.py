@@ -82,7 +82,7 @@ def read_drawn(folder: Path, images: Sequence[Path]) -> dict[Path, Drawn]:
                          "or Wireframe's JSON")  # fmt: skip
     if strays:
         few = ", ".join(strays[:3]) + (", ..." if len(strays) > 3 else "")
-        log.warning("%d labels belong to no image and are left out: %s", len(strays), few)
+        log.warning("labels of no image, left out: %d (%s)", len(strays), few)
     return {image: found[image] for image in images if image in found}
 
 
