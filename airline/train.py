@@ -1,4 +1,6 @@
-"""Train the edge network on photographs without labels: `python -m airline.train --images DIR --out FILE`.
+"""Train the edge network on photographs: `python -m airline.train --images DIR --out FILE`.
+
+Labels are not needed; `--labels DIR` takes lines that a person drew into some or all of them.
 
 The same command goes on where an interrupted training stopped.
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -15,13 +18,14 @@ import numpy as np
 import torch
 
 from airline.command import EXIT_USER_ERROR, Parser, StderrHandler, number
-from airline.errors import AirLineError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from airline.evaluation.dataset import list_images
 from airline.network.spec import SPECS
 from airline.network.unet import UNet, measure_ranges
-from airline.network.weights import save_unet
+from airline.network.weights import load_unet, save_unet
 from airline.training.crops import Crops
-from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_samples, render_samples
+from airline.training.dataset import HELD_OUT_SEED, Sample, fingerprint, load_drawn, load_samples, render_samples
+from airline.training.drawn import read_drawn
 from airline.training.loop import Schedule, State, Validation, find_device, split
 from airline.training.session import Session
 
@@ -29,8 +33,9 @@ log = logging.getLogger("airline.train")
 
 DEFAULT_STEPS = 28000
 HELD_OUT_SCENES = 12
+START_RATE = 5e-4  # peak learning rate for weights that are good already
 # what a checkpoint depends on
-SETTINGS = ("model", "minutes", "batch", "rate", "scenes", "views", "seed", "loss_weight", "loss_radius")
+SETTINGS = ("model", "start", "minutes", "batch", "rate", "scenes", "views", "seed", "loss_weight", "loss_radius")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -41,15 +46,20 @@ def build_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--images", type=Path, required=True, metavar="DIR", help="folder of photographs; labels are not needed")
     add("--out", type=Path, required=True, metavar="FILE", help="weights file to write (.safetensors)")
-    add("--model", choices=SPECS, default="default", help="shape of the network (default: %(default)s)")
+    add("--labels", type=Path, metavar="DIR", help="lines drawn by a person: NAME.txt per image, or Wireframe's JSON")
+    add("--drawn-only", action="store_true", help="leave out the photographs without drawn lines")
+    shape = parser.add_mutually_exclusive_group()
+    shape.add_argument("--model", choices=SPECS, default="default", help="shape of the network (default: %(default)s)")
+    shape.add_argument("--start", metavar="WEIGHTS", help="train these on, bundled ones by name or a file")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--steps", type=number(int, 1), metavar="N", help=f"training steps (default: {DEFAULT_STEPS})")
     length.add_argument("--minutes", type=number(float, 0.01), metavar="M", help="train for this long instead")
-    batch, rate, weight, radius = Crops.batch, Schedule.peak_rate, Crops.weight, Crops.radius
+    batch, weight, radius = Crops.batch, Crops.weight, Crops.radius
+    rates = f"{Schedule.peak_rate:g}, with --start {START_RATE:g}"
     add("--batch", type=number(int, 1), default=batch, metavar="N", help="crops per step (default: %(default)s)")
-    add("--rate", type=number(float, 1e-9), default=rate, metavar="R", help="peak learning rate (default: %(default)s)")
+    add("--rate", type=number(float, 1e-9), metavar="R", help=f"peak learning rate (default: {rates})")
     add("--scenes", type=number(int, 0), default=0, metavar="N", help="add N rendered scenes with exact lines")
-    add("--limit", type=number(int, 1), metavar="N", help="use at most N photographs")
+    add("--limit", type=number(int, 1), metavar="N", help="use at most N photographs, drawn ones first")
     add("--views", type=number(int, 1), default=7, metavar="N", help="random views per photograph for its labels")
     add("--cache", type=Path, metavar="DIR", help="folder of cached labels (default: beside --out)")
     add("--seed", type=number(int, 0, 2**63), default=0, metavar="N", help="of weights, crops and held-out photographs")
@@ -83,45 +93,68 @@ def run(options: argparse.Namespace) -> bool:
     """Label, train, write the weights; False if Ctrl-C stopped it, ready to go on; raises AirLineError."""
     device = find_device(options.device)
     _check_writable(options.out)
-    photographs, scenes, held_out_scenes = _samples(options)
-    held_out, rest = split(photographs)
+    options.rate = options.rate or (START_RATE if options.start else Schedule.peak_rate)
+    torch.manual_seed(options.seed)
+    net = load_unet(options.start) if options.start else UNet(SPECS[options.model], norm=True)
+    drawn, photographs = _samples(options)
+    scenes = render_samples(options.scenes)
+    kinds = {"drawn images": split(drawn), "photographs": split(photographs)}
+    kinds["scenes"] = render_samples(min(HELD_OUT_SCENES, options.scenes), HELD_OUT_SEED), scenes
+    held_out, rest = ({kind: halves[k] for kind, halves in kinds.items() if halves[k]} for k in range(2))
     steps = DEFAULT_STEPS if options.steps is None and options.minutes is None else options.steps
-    crops = Crops(rest + scenes, options.seed, options.batch, weight=options.loss_weight, radius=options.loss_radius)
+    every = list(chain.from_iterable(rest.values()))
+    crops = Crops(every, options.seed, options.batch, weight=options.loss_weight, radius=options.loss_radius)
     session = Session(
-        schedule=Schedule(steps, options.minutes, options.rate),
-        validation=Validation(held_out, held_out_scenes, crops),
+        schedule=Schedule(steps, options.minutes, options.rate, min(Schedule.warmup, (steps or DEFAULT_STEPS) // 5)),
+        validation=Validation(held_out, crops),
         validate_every=options.validate_every,
         settings={
             "--images": f"{len(photographs)} photographs ({fingerprint(photographs)})",
+            "--labels": f"{len(drawn)} drawn images ({fingerprint(drawn)})" if drawn else None,
             "--steps": steps,
             **{f"--{name.replace('_', '-')}": getattr(options, name) for name in SETTINGS},
         },
         checkpoint=options.out.with_name(options.out.stem + ".checkpoint"),
         sheets=options.out.with_name(options.out.stem + "-samples"),
     )
-    log.info("%s network on %s: %d photographs, %d scenes", options.model, device.type, len(rest), len(scenes))
-    log.info("held out: %d photographs, %d scenes; pictures in %s", len(held_out), len(held_out_scenes), session.sheets)
-    torch.manual_seed(options.seed)
-    state = State(UNet(SPECS[options.model], norm=True), device)
+    log.info("%s network on %s: %s", options.start or options.model, device.type, _counted(rest))
+    log.info("held out: %s; pictures in %s", _counted(held_out), session.sheets)
+    state = State(net, device)
     if not session.run(state, crops):
         return False
-    notes = {name: str(getattr(options, name)) for name in ("model", "batch", "rate", "seed")}
-    notes |= {"images": str(len(photographs)), "scenes": str(len(scenes)), "steps": str(state.step)}
-    ranges = measure_ranges(state.net.folded(), (sample.gray for sample in held_out + held_out_scenes))
+    origin = "start" if options.start else "model"
+    notes = {name: str(getattr(options, name)) for name in (origin, "batch", "rate", "seed")}
+    notes |= {"images": str(len(photographs)), "drawn": str(len(drawn)), "scenes": str(len(scenes))}
+    notes["steps"] = str(state.step)
+    ranges = measure_ranges(state.net.folded(), (sample.gray for sample in chain.from_iterable(held_out.values())))
     log.info("wrote %s  sha256 %s", options.out, save_unet(state.net, options.out, ranges, **notes))
     return True
 
 
-def _samples(options: argparse.Namespace) -> tuple[list[Sample], list[Sample], list[Sample]]:
-    """Photographs in the seed's order, scenes to train on, scenes held out."""
+def _samples(options: argparse.Namespace) -> tuple[list[Sample], list[Sample]]:
+    """Images with drawn lines and photographs to be labelled by consensus, each in the seed's order."""
+    if options.drawn_only and not options.labels:
+        raise ConfigError("--drawn-only needs drawn lines: give --labels DIR")
     paths = list_images(options.images)
     np.random.default_rng(options.seed).shuffle(paths)
+    drawn = read_drawn(options.labels, paths) if options.labels else {}
+    others = [path for path in paths if path not in drawn]
+    if drawn:
+        how = "left out" if options.drawn_only else "labelled by consensus"
+        log.info("%d images with drawn lines, %d without%s", len(drawn), len(others), f": {how}" if others else "")
+    if options.limit:
+        drawn = dict(list(drawn.items())[: options.limit])
+        others = others[: options.limit - len(drawn)]
+    marked = load_drawn(drawn)
     cache = options.cache or options.out.with_name(options.out.stem + "-labels")
-    photographs = load_samples(paths[: options.limit], options.views, cache)
-    if not photographs:
+    photographs = [] if options.drawn_only else load_samples(others, options.views, cache)
+    if not marked and not photographs:
         raise InputError(f"none of the images in {options.images} can be read: give photographs of 64 px and more")
-    held_out = render_samples(min(HELD_OUT_SCENES, options.scenes), HELD_OUT_SEED)
-    return photographs, render_samples(options.scenes), held_out
+    return marked, photographs
+
+
+def _counted(kinds: dict[str, list[Sample]]) -> str:
+    return ", ".join(f"{len(samples)} {kind}" for kind, samples in kinds.items())
 
 
 def _check_writable(out: Path) -> None:

@@ -1,4 +1,4 @@
-"""Training samples: photographs with pseudo-labels, which are cached on disk, and rendered scenes with exact lines."""
+"""Training samples: photographs with lines that a person drew, or with cached pseudo-labels; rendered scenes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import logging
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from airline.command import track
 from airline.scenes import RenderedClip
 from airline.training.consensus import PIECE, consensus
+from airline.training.drawn import Drawn
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ class Sample:
     Attributes:
         gray: (H, W) uint8.
         pieces: (N, 2, 2) float32 px, short pieces of lines.
-        shares: (N,) float32 in [0, 1], the share of the views that saw the piece.
+        shares: (N,) float32 in [0, 1], the share of the views that saw the piece; 1 where lines are known.
     """
 
     gray: NDArray[np.uint8]
@@ -47,9 +48,18 @@ class Sample:
 
 
 def load_samples(paths: list[Path], views: int, cache: Path) -> list[Sample]:
-    """Label photographs in parallel; unreadable ones are left out with a warning."""
+    """Photographs with pseudo-labels; unreadable ones are left out with a warning."""
     cache.mkdir(parents=True, exist_ok=True)
-    found = _in_parallel(lambda path: label_image(path, views, cache), paths, "labels")
+    return _readable(lambda path: label_image(path, views, cache), paths, "labels")
+
+
+def load_drawn(drawn: Mapping[Path, Drawn]) -> list[Sample]:
+    """Photographs with drawn lines; unreadable ones are left out with a warning. InputError where lines do not fit."""
+    return _readable(lambda path: draw_image(path, drawn[path]), list(drawn), "drawn lines")
+
+
+def _readable(label: Callable[[Path], Sample | None], paths: list[Path], title: str) -> list[Sample]:
+    found = _in_parallel(label, paths, title)
     samples = [sample for sample in found if sample is not None]
     if len(samples) < len(paths):
         log.warning("%d of %d images could not be read and were left out", len(paths) - len(samples), len(paths))
@@ -59,8 +69,8 @@ def load_samples(paths: list[Path], views: int, cache: Path) -> list[Sample]:
 def label_image(path: Path, views: int, cache: Path) -> Sample | None:
     """A photograph with its pseudo-labels, from the cache or computed now; None if it cannot be read."""
     data = path.read_bytes()
-    gray = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
-    if gray is None or min(gray.shape) < 64:
+    gray = _decode(data)
+    if gray is None:
         return None
     digest = hashlib.sha256(data).hexdigest()
     stored = cache / f"{digest[:24]}-v{LABEL_VERSION}-{views}.npz"
@@ -76,6 +86,21 @@ def label_image(path: Path, views: int, cache: Path) -> Sample | None:
     np.savez(partial, pieces=pieces, shares=shares)
     partial.replace(stored)
     return Sample(gray, pieces, shares)
+
+
+def draw_image(path: Path, drawn: Drawn) -> Sample | None:
+    """A photograph with drawn lines, each of share 1; None if it cannot be read, InputError where they do not fit."""
+    gray = _decode(path.read_bytes())
+    if gray is None:
+        return None
+    drawn.check(gray.shape[1], gray.shape[0])
+    pieces = cut(drawn.segments)
+    return Sample(gray, pieces, np.ones(len(pieces), np.float32))
+
+
+def _decode(data: bytes) -> NDArray[np.uint8] | None:
+    gray = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    return None if gray is None or min(gray.shape) < 64 else np.asarray(gray, np.uint8)
 
 
 def render_samples(count: int, first_seed: int = FIRST_SEED) -> list[Sample]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,12 +20,13 @@ from airline.detector import AirLine
 from airline.errors import ConfigError, InputError
 from airline.evaluation.metrics import PixelScores, mean, pixel_scores
 from airline.lines import scale_points
+from airline.network.runtimes import has_bf16
 from airline.network.unet import UNet
 from airline.stages.edges import UNetEdges
 from airline.training.crops import Batch, Crops, draw_labels
 from airline.training.dataset import Sample
 
-MAX_PHOTOGRAPHS = 60
+MAX_HELD_OUT = 60
 TRUSTED = 0.4  # share of views from which on a labelled piece counts as a line
 SEED = 12345  # of the crops for the loss
 BATCHES = 4  # of them
@@ -114,12 +115,13 @@ def train(
     started = time.monotonic() - state.seconds
     # a GPU is faster than one thread makes crops; on a CPU the network wants the cores itself
     workers = min(16, os.cpu_count() or 1) if device.type == "cuda" else 1
+    short = device.type == "cuda" or has_bf16()  # imitated, it is eight times slower than float32
     with closing(crops.ahead(state.step, workers)) as batches:
         while schedule.done(state.step, state.seconds) < 1:
             for group in optimiser.param_groups:
                 group["lr"] = schedule.rate(state.step, state.seconds)
             image, target, weights = (part.to(device) for part in next(batches))
-            with torch.autocast(device.type, torch.bfloat16):
+            with torch.autocast(device.type, torch.bfloat16, enabled=short):
                 logits = net(image.contiguous(memory_format=torch.channels_last))
             loss = edge_loss(logits, target, weights)
             optimiser.zero_grad(set_to_none=True)
@@ -135,18 +137,18 @@ def train(
                 break
 
 
-def split(photographs: list[Sample]) -> tuple[list[Sample], list[Sample]]:
-    """Held-out photographs, one in twenty and at most 60, and the others; a single photograph is in both."""
-    count = min(MAX_PHOTOGRAPHS, max(1, len(photographs) // 20))
-    return photographs[:count], photographs[count:] or photographs
+def split(samples: list[Sample]) -> tuple[list[Sample], list[Sample]]:
+    """Samples held out, one in twenty and at most 60, and the others; a single one is in both."""
+    count = min(MAX_HELD_OUT, max(1, len(samples) // 20))
+    return samples[:count], samples[count:] or samples
 
 
 class Validation:
     """Measures networks on the same held-out samples, always in the same way."""
 
-    def __init__(self, photographs: list[Sample], scenes: list[Sample], crops: Crops) -> None:
-        """Keep the samples, and make the crops on which the loss is measured, as `crops` makes them."""
-        self._kinds = {"photographs": photographs, "scenes": scenes} if scenes else {"photographs": photographs}
+    def __init__(self, kinds: Mapping[str, list[Sample]], crops: Crops) -> None:
+        """Keep the samples by kind, and make the crops on which the loss is measured, as `crops` makes them."""
+        self._kinds = {kind: samples for kind, samples in kinds.items() if samples}
         own = {kind: replace(crops, samples=samples, seed=SEED) for kind, samples in self._kinds.items()}
         self._crops = {kind: [each.at(step) for step in range(BATCHES)] for kind, each in own.items()}
 
@@ -162,9 +164,9 @@ class Validation:
         return found
 
     def write_sheet(self, net: UNet, device: torch.device, path: Path) -> None:
-        """A picture of three photographs and a scene (four photographs without scenes); raises InputError."""
-        photographs, scenes = self._kinds["photographs"], self._kinds.get("scenes", [])
-        few = [*photographs[: 3 if scenes else 4], *scenes[:1]]
+        """A picture of four samples, of the first kind but for one of each other; raises InputError."""
+        first, *others = self._kinds.values()
+        few = [*first[: 4 - len(others)], *(samples[0] for samples in others)]
         _, detector = _ready(net, device)
         if not cv2.imwrite(str(path), np.concatenate([_sheet_row(sample, detector) for sample in few])):
             raise InputError(f"cannot write {path}: make room, or give an --out elsewhere")

@@ -90,13 +90,14 @@ class Session:
     def _validate(self, state: State) -> str:
         """Log the scores and write a picture; the score for the progress bar."""
         scores = self.validation.measure(state.net, state.device)
-        latest = scores["photographs"][1].f2
+        first = next(iter(scores))
+        latest = scores[first][1].f2
         if latest >= state.best:
             state.best, state.best_step = latest, state.step
         for kind, (loss, lines) in scores.items():
             figures = loss, lines.f2, lines.p2, lines.r2
             log.info("step %d  held-out %s: loss %.4f, F %.1f (P %.1f, R %.1f)", state.step, kind, *figures)
-        log.info("step %d  best F on photographs: %.1f at step %d", state.step, state.best, state.best_step)
+        log.info("step %d  best F on %s: %.1f at step %d", state.step, first, state.best, state.best_step)
         self.sheets.mkdir(exist_ok=True)
         self.validation.write_sheet(state.net, state.device, self.sheets / f"step-{state.step:06d}.png")
         return f"F {latest:.1f}"
@@ -162,7 +163,7 @@ def restore(state: State, settings: Settings, path: Path) -> None:
 
 
 def _check(stored: Settings, settings: Settings, finished: bool, path: Path) -> None:
-    changed = {key: (stored[key], settings[key]) for key in settings if stored[key] != settings[key]}
+    changed = {key: (stored.get(key), settings[key]) for key in settings if stored.get(key) != settings[key]}
     for key, (before, now) in changed.items():
         if len(changed) == 1 and key in LENGTHS and finished and float(now or 0) > float(before or 0):
             log.info("the finished training is extended from %s %s to %s, on the schedule of the new length",

@@ -101,9 +101,32 @@ def test_a_finished_training_is_extended_and_other_settings_are_refused(photogra
     assert (tmp_path / "net.checkpoint").read_bytes() == checkpoint
 
 
+def test_drawn_lines_beside_consensus_and_alone(photographs, tmp_path, caplog):
+    for name in ("0.txt", "2.png.txt"):
+        (tmp_path / name).write_text("10 10 100 80\n")
+    drawn = ("--labels", tmp_path, "--steps", 1)
+    out, alone = tmp_path / "net.safetensors", tmp_path / "alone.safetensors"
+    assert main(arguments(photographs, out, *drawn)) == 0
+    assert "2 images with drawn lines, 3 without: labelled by consensus" in caplog.text
+    assert "fast network on cpu: 1 drawn images, 1 photographs" in caplog.text
+    assert "best F on drawn images" in caplog.text
+    assert content(out)[0].items() >= {"drawn": "2", "images": "2"}.items()
+    reason = refusal(*arguments(photographs, out, "--steps", 1), main=main)
+    assert re.search(r"--labels was 2 drawn images \(.*\) and is None", reason)
+    caplog.clear()
+    given = [{"--model": "--start"}.get(word, word) for word in arguments(photographs, alone, *drawn)]
+    assert main([*given, "--drawn-only"]) == 0
+    assert "2 images with drawn lines, 3 without: left out" in caplog.text
+    assert content(alone)[0].items() >= {"drawn": "2", "images": "0", "start": "fast", "rate": "0.0005"}.items()
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
+        (("--labels", "file"), "no labels of the images in file"),
+        (("--labels", "folder"), "no labels of the images in folder"),
+        (("--drawn-only",), "--drawn-only needs drawn lines"),
+        (("--start", "fast"), "argument --start: not allowed with argument --model"),
         (("--images", "nowhere"), "no images in nowhere"),
         (("--out", "nowhere/net.safetensors"), "give a file in a folder that exists"),
         (("--out", "folder"), "folder is a folder"),

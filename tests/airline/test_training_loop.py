@@ -144,7 +144,7 @@ def test_split_holds_out_a_twentieth_and_at_most_sixty(count, held_out):
 
 
 def test_validation_scores_a_trained_network_and_disturbs_nothing(samples, tmp_path):
-    validation = Validation(samples[:2], samples[2:], small(samples))
+    validation = Validation({"photographs": samples[:2], "scenes": samples[2:], "none": []}, small(samples))
     scores = validation.measure(load_unet("default"), CPU)
     assert set(scores) == {"photographs", "scenes"}
     assert scores["photographs"][1].f2 > 70
@@ -162,7 +162,7 @@ def test_validation_scores_a_trained_network_and_disturbs_nothing(samples, tmp_p
 
 def test_sheets_show_image_labels_edges_and_lines(tmp_path):
     wide = labelled(4, 200, 100)
-    validation = Validation([wide], [], small([wide]))
+    validation = Validation({"photographs": [wide]}, small([wide]))
     validation.write_sheet(load_unet("default"), CPU, tmp_path / "sheet.png")
     sheet = cv2.imread(str(tmp_path / "sheet.png"))
     assert sheet.shape == (204, 4 * 404, 3)
@@ -199,5 +199,5 @@ def test_training_and_validation_on_cuda(samples, tmp_path):
     resumed = fresh()
     checkpoint.restore(resumed, SETTINGS, tmp_path / "state")
     assert run(resumed, samples, 4).step == 4
-    validation = Validation(samples, [], small(samples))
+    validation = Validation({"photographs": samples}, small(samples))
     assert validation.measure(state.net, state.device)["photographs"][0] > 0
