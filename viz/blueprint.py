@@ -7,7 +7,8 @@ from typing import Literal
 import rerun.blueprint as rrb
 
 Kind = Literal["minimal", "default", "full"]
-CLEAN, ALL = ("/camera/tracks", "/camera/tails"), ("/camera/tracks/tentative", "/camera/tracks/lost")
+CLEAN, REST = ("/camera/tracks", "/camera/tails"), ("/camera/tracks/rest", "/camera/tracks/lost")
+BOLD, TAILS = "bold: long and old", "tails: where they were"
 WIDE = 2.5  # images of this width to height have the whole width of the window
 
 
@@ -23,17 +24,16 @@ def layout(
 
     Args:
         kind: minimal shows the image with its tracks, their number and the log; default adds the detector's stages and
-            all figures; full shows tentative and lost tracks too.
+            all figures; full shows all tracks, tentative and lost ones too.
         size: width and height of the image, px; it decides what is beside what.
         image: whether the recording has the camera's image.
         stages: whether the recording has the detector's stages.
         space: whether it has poses or lines in space.
     """
     below = ["/camera/image"] if image else []
-    key = "bold: long and old, thin: other confirmed ones"
-    tracks = _camera_view(f"Tracks ({key})", *below, *CLEAN)
+    tracks = _camera_view(f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", *below, *CLEAN)
     if kind == "full":
-        tracks = _camera_view(f"Tracks ({key} and tentative ones, grey: lost)", *below, *ALL, *CLEAN)
+        tracks = _camera_view(f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", *below, *REST, *CLEAN)
     counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="LeftTop"))
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     log = rrb.TextLogView(origin="/log", name="Log", columns=columns)
@@ -58,7 +58,7 @@ def layout(
     if wide:
         shares = [16 / aspect, 4 / aspect + 0.5 if not space else 4, 3]
         return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(*views), figures, row_shares=shares))
-    share = min(max(0.44 * aspect, 0.35), 0.65)  # of the window's width
+    share = min(max(0.44 * aspect, 0.35), 0.6)  # of the window's width
     top = rrb.Horizontal(tracks, rrb.Vertical(*views), column_shares=[share, 1 - share])
     return _blueprint(rrb.Vertical(top, figures, row_shares=[5, 2]))
 

@@ -25,7 +25,7 @@ from frontend.tracking.assignment import assign
 from frontend.tracks import LineTracks
 from viz.blueprint import side_by_side
 from viz.figures import Clock, FigureLog, median
-from viz.lines import BOLD_RADIUS, THIN_RADIUS, Size, log_lines, picture_scale, picture_size
+from viz.lines import BOLD_RADIUS, THIN_RADIUS, log_lines, picture_scale, picture_size
 from viz.replay import ByStamp, images_of, log_image, recording
 
 SIDES = {"a": (255, 150, 40), "b": (60, 170, 255)}  # and the colours of their curves, RGB
@@ -71,13 +71,13 @@ class Comparison:
         self._figures = FigureLog(stream, colours)
         self._frames = self._matched = 0
         self._lengths: dict[str, Counter[int]] = {name: Counter() for name in names}  # frames of each track
-        self._size: Size | None = None
+        self._scale = 0.0
 
     def write(self, a: LineTracks, b: LineTracks) -> None:
         """Log the tracks of one image in both runs."""
         self._clock.set(a.frame_index, a.stamp_ns)
         rows, columns, distances = match_lines(a.segments_px, b.segments_px)
-        self._size = self._size or picture_size(a)
+        self._scale = self._scale or picture_scale(picture_size(a))
         figures: dict[str, dict[str, float]] = {"lines": {}, "matched_share": {}, "track_length": {}}
         for name, side, tracks, own in zip(self._names, SIDES, (a, b), (rows, columns), strict=True):
             self._log_side(f"/{side}", tracks, own, a.ids[rows])
@@ -105,8 +105,7 @@ class Comparison:
     def _log_side(self, root: str, tracks: LineTracks, rows: Ids, colour_ids: Ids) -> None:
         order = np.argsort(rows)  # ids stay ascending
         rows, colour_ids = rows[order], colour_ids[order]
-        assert self._size is not None
-        radii = picture_scale(self._size) * np.where(tracks.confirmed, BOLD_RADIUS, THIN_RADIUS)
+        radii = self._scale * np.where(tracks.confirmed, BOLD_RADIUS, THIN_RADIUS)
         colours = track_colours(colour_ids)
         log_lines(self._stream, f"{root}/tracks", tracks.segments_px[rows], colours, radii[rows], tracks.ids[rows])
         rest = np.delete(np.arange(len(tracks)), rows)

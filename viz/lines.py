@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
-from frontend.tracking.selection import best
+from frontend.tracking.selection import Selection
 from frontend.tracks import LineTracks
 from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
 
@@ -20,8 +20,8 @@ FRAGMENT_TONE = 0.55  # how dark a piece of a broken line is beside whole ones
 LOST_TONE, LOST_GREY = 0.2, 120  # how much of its hue a lost line keeps, on which grey
 TAIL_TONE = 0.75  # how dark a tail is beside its line
 # Radii are in pixels of the image per pixel of its size, which is the root of its area: pictures look alike at any size
-BOLD_RADIUS, THIN_RADIUS, FAINT_RADIUS = 0.0020, 0.0008, 0.0005
-BOLD_LINES = 150  # at most: more would hide the image
+BOLD_RADIUS, THIN_RADIUS, FAINT_RADIUS = 0.0020, 0.0006, 0.0004
+BOLD_LINES, SHOWN_LINES = 150, 450  # at most: more would hide the image, or each other
 LOST_FRAMES = 3  # lost lines are drawn for so many frames: where one should be is a guess, which soon is none
 TAIL_FRAMES, TAIL_STEP = 12, 3
 TAIL_LENGTH = 0.08  # of the image's size
@@ -32,9 +32,10 @@ Size = tuple[int, int]
 class TrackLog:
     """Logs the tracks of one stream of frames, fed in time order, at the stream's present time.
 
-    `/camera/tracks`: confirmed lines, the best of them bold, pieces of broken ones darker, each with its `track_id` and
-    whether it was `measured` and not detected; `/camera/tracks/tentative`: the others. `/camera/tracks/lost`: where
-    lines should be that were lost in the last `LOST_FRAMES` frames, grey. `/camera/tails`: where bold lines were.
+    `/camera/tracks`: the best confirmed lines, the best of these bold; `/camera/tracks/rest`: all others that were
+    seen. Both say their `track_id` and whether they were `measured` and not detected; pieces of broken lines are
+    darker. `/camera/tracks/lost`: where lines should be that were lost in the last `LOST_FRAMES` frames, grey.
+    `/camera/tails`: where bold lines were.
 
     Args:
         stream: where to log to.
@@ -46,30 +47,31 @@ class TrackLog:
         self._stream = stream
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
-        self._bold = np.zeros(0, np.int64)
+        self._shown, self._bold = Selection(SHOWN_LINES), Selection(BOLD_LINES)
 
     def write(self, tracks: LineTracks, size: Size) -> None:
         """Log one frame's tracks; `size` is the image's width and height, px."""
+        scale = picture_scale(size)
+        shown = self._shown.of(tracks.take(tracks.confirmed), size)
+        bold = self._bold.of(shown, size)
+        rest = tracks.take(~np.isin(tracks.ids, shown.ids))
+        radii = scale * np.where(np.isin(shown.ids, bold.ids), BOLD_RADIUS, THIN_RADIUS)
+        self._log_seen("/camera/tracks", shown, radii)
+        self._log_seen("/camera/tracks/rest", rest, scale * THIN_RADIUS)
+        recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
+        ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
+        grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
+        log_lines(self._stream, "/camera/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
+        if self._tails is not None:
+            ids, points, lengths = self._tails.add(tracks, bold.ids, scale * TAIL_LENGTH)
+            dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
+            self._stream.log("/camera/tails", _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS))
+
+    def _log_seen(self, entity: str, tracks: LineTracks, radii: NDArray[np.float64] | float) -> None:
         colours = track_colours(tracks.ids)
         fragments = tracks.fragment_of >= 0
         colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-        bold = np.zeros(len(tracks), bool)
-        bold[best(tracks, size, BOLD_LINES, np.isin(tracks.ids, self._bold))] = True
-        bold &= tracks.confirmed
-        self._bold = tracks.ids[bold]
-        radii = picture_scale(size) * np.where(bold, BOLD_RADIUS, THIN_RADIUS)
-        for entity, rows in (("", tracks.confirmed), ("/tentative", ~tracks.confirmed)):
-            seen = tracks.segments_px[rows], colours[rows], radii[rows], tracks.ids[rows]
-            log_lines(self._stream, f"/camera/tracks{entity}", *seen, measured=tracks.measured[rows])
-        shown = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
-        ids, segments = tracks.lost_ids[shown], tracks.lost_segments_px[shown]
-        grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
-        log_lines(self._stream, "/camera/tracks/lost", segments, grey, picture_scale(size) * FAINT_RADIUS, ids)
-        if self._tails is not None:
-            tailed, points, lengths = self._tails.add(tracks, np.flatnonzero(bold), TAIL_LENGTH * picture_scale(size))
-            dark = (TAIL_TONE * track_colours(tracks.ids[tailed])).astype(np.uint8)
-            strips = _strips(strips_2d(points, lengths), dark, picture_scale(size) * THIN_RADIUS)
-            self._stream.log("/camera/tails", strips)
+        log_lines(self._stream, entity, tracks.segments_px, colours, radii, tracks.ids, measured=tracks.measured)
 
 
 class Tails:
@@ -85,12 +87,12 @@ class Tails:
         self._bends = np.zeros((0, TAIL_FRAMES // TAIL_STEP, 2, 2), np.float32)  # lines, the oldest first
 
     def add(
-        self, tracks: LineTracks, rows: NDArray[np.intp], longest: float
-    ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.int_]]:
+        self, tracks: LineTracks, wanted: NDArray[np.int64], longest: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int_]]:
         """Take the next frame's tracks.
 
         Returns:
-            (N,) those of the rows that have a tail; (P, 2) float32 px, the points of all tails, none longer than
+            (N,) those of the wanted ids that have a tail; (P, 2) float32 px, the points of all tails, none longer than
             `longest`, each from the present place to the oldest; (N,) how many of them each tail has.
         """
         ids = np.sort(np.concatenate([tracks.ids, tracks.lost_ids]))
@@ -99,6 +101,7 @@ class Tails:
         now = np.flatnonzero(np.append(self._ids, -1)[before] == ids)
         bends[now] = self._bends[before[now]]
         here = np.searchsorted(ids, tracks.ids)
+        rows = np.searchsorted(tracks.ids, wanted)
         rows = rows[~np.isnan(bends[here[rows], -1, 0, 0])]
         points = _way_back(tracks.segments_px[rows], bends[here[rows]], longest)
         if self._added % TAIL_STEP == 0:
@@ -106,7 +109,7 @@ class Tails:
             bends[here, -1] = tracks.segments_px
         self._ids, self._bends, self._added = ids, bends, self._added + 1
         known = ~np.isnan(points[:, :, 0])
-        return rows, points[known], known.sum(axis=1)
+        return tracks.ids[rows], points[known], known.sum(axis=1)
 
 
 def _way_back(lines: NDArray[np.float32], bends: NDArray[np.float32], longest: float) -> NDArray[np.float32]:

@@ -78,7 +78,7 @@ def test_matching_lines_have_matching_colours(files, tmp_path, capsys):
         same += sum(colour_of_a.get(track - 1000) == colour for track, colour in colour_of_b.items())
         total += len(colour_of_b)
         ids = np.array(list(colour_of_a), np.int64)
-        expected = track_colours(ids, result.tracks.confirmed[np.isin(result.tracks.ids, ids)]).astype(np.uint32)
+        expected = track_colours(ids).astype(np.uint32)
         rgb = np.array(list(colour_of_a.values()), np.uint32) >> 8
         np.testing.assert_array_equal(rgb, expected @ np.array([65536, 256, 1], np.uint32))
         unmatched = entities["/b/unmatched"]["track_id"][row]

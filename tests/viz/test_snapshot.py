@@ -49,7 +49,7 @@ def test_lines_have_the_colours_of_the_recording(recording, frame):
     picture = drawn(recording, frame).astype(int)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     tracks = list(frame_results(FRAMES))[frame].tracks
-    for middle, colour in zip(sides(frame), track_colours(tracks.ids, tracks.confirmed)[:, ::-1], strict=True):
+    for middle, colour in zip(sides(frame), track_colours(tracks.ids)[:, ::-1], strict=True):
         x, y = np.rint(middle).astype(int)
         assert np.abs(picture[y - 1 : y + 2, x - 1 : x + 2] - colour).max(axis=2).min() < 40
     x, y = np.rint(sides(frame).mean(axis=0)).astype(int)
@@ -205,7 +205,7 @@ def test_viewer_shows_the_tracks_and_has_no_complaints(recording, tmp_path):
     assert picture.shape == (800, 1280, 3)
     assert picture.std() > 20
     tracks = list(frame_results(FRAMES))[8].tracks
-    for colour in track_colours(tracks.ids, tracks.confirmed)[:, ::-1]:
+    for colour in track_colours(tracks.ids)[:, ::-1]:
         near = np.abs(picture.astype(int) - colour).max(axis=2) < 12
         assert near.sum() > 50, f"no line in the colour {colour}"
 
