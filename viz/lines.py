@@ -103,7 +103,8 @@ class Tails:
         here = np.searchsorted(ids, tracks.ids)
         rows = np.searchsorted(tracks.ids, wanted)
         rows = rows[~np.isnan(bends[here[rows], -1, 0, 0])]
-        points = _way_back(tracks.segments_px[rows], bends[here[rows]], longest)
+        way = _way_back(tracks.segments_px[rows], bends[here[rows]], longest)
+        points = (np.rint(way * 2) / 2).astype(np.float32)  # nobody sees half a pixel of a tail, and it compresses well
         if self._added % TAIL_STEP == 0:
             bends[:, :-1], bends[:, -1] = bends[:, 1:], np.nan
             bends[here, -1] = tracks.segments_px

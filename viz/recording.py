@@ -220,7 +220,7 @@ def _strips(rows: Any, k: int) -> Strips:
     return Strips(
         np.split(points, np.cumsum(lists.value_lengths().to_numpy())[:-1]),
         np.stack([colours >> shift & 255 for shift in (24, 16, 8)], axis=1).astype(np.uint8),
-        np.maximum(np.ceil(np.where(radii < 0, -WIDE_POINTS, 2) * radii), 1).astype(int),
+        np.maximum(np.floor(np.where(radii < 0, -WIDE_POINTS, 2) * radii), 1).astype(int),
     )
 
 

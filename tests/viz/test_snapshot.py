@@ -81,6 +81,7 @@ def lines_alone(path: Path, **camera: float) -> Path:
 
 def test_lines_are_drawn_between_pixels_and_bold_ones_wider(tmp_path, monkeypatch):
     monkeypatch.setattr("viz.lines.BOLD_LINES", 1)
+    monkeypatch.setattr("viz.lines.BOLD_RADIUS", 0.005)
     picture = drawn(lines_alone(tmp_path / "lines.rrd", width=WIDTH, height=HEIGHT), 8)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     widths = []
