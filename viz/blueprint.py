@@ -63,8 +63,8 @@ def layout(
     return _blueprint(rrb.Vertical(top, figures, row_shares=[5, 2]))
 
 
-def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
-    """The blueprint of a comparison of two runs, with their figures below on one time axis."""
+def side_by_side(names: tuple[str, str], size: tuple[int, int], *, image: bool) -> rrb.Blueprint:
+    """The blueprint of a comparison of two runs, with their figures below on one time axis; wide ones are stacked."""
     below = ["/camera/image"] if image else []
     views = [
         _camera_view(name, *below, f"/{side}/tracks", f"/{side}/unmatched")
@@ -78,7 +78,8 @@ def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
         "distance": "Distance of matched lines (px)",
     }
     figures = [_plot(path, name, rrb.PlotLegend(visible=path == "lines"), axis) for path, name in plots.items()]
-    return _blueprint(rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*figures), row_shares=[3, 1]))
+    top = (rrb.Vertical if size[0] >= WIDE * size[1] else rrb.Horizontal)(*views)
+    return _blueprint(rrb.Vertical(top, rrb.Horizontal(*figures), row_shares=[3, 1]))
 
 
 def _blueprint(root: rrb.Container) -> rrb.Blueprint:

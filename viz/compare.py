@@ -134,7 +134,7 @@ def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
     images = ByStamp(images_of(a))
     if images.empty:
         images = ByStamp(images_of(b))
-    layout = side_by_side(names, image=not images.empty)
+    layout = side_by_side(names, picture_size(first[0]), image=not images.empty)
     with recording("airline-compare", f"{a.name} and {b.name}", layout, save, connect) as stream:
         comparison = Comparison(stream, names)
         for pair in chain([first], frames):

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from frontend.tracks import LineTracks
 
 YEAR_2000_NS = 946_684_800_000_000_000  # stamps from then on are dates
-COLOURS = {  # of curves, RGB
+COLOURS = {  # of curves, RGB, in the order of the legend, which may have no place for the last ones
     "tracks": (120, 150, 255),
     "confirmed": (80, 220, 100),
     "lines": (255, 196, 64),
     "measured": (230, 110, 220),
     "lost": (170, 170, 170),
     "edges": (80, 220, 100),
-    "pixels": (170, 170, 170),
-    "orientation": (230, 110, 220),
+    "track": (250, 80, 80),
+    "refine": (70, 200, 235),
     "grow": (255, 150, 60),
     "fit": (255, 225, 70),
-    "refine": (70, 200, 235),
-    "track": (250, 80, 80),
+    "orientation": (230, 110, 220),
+    "pixels": (170, 170, 170),
 }
 OTHER = (200, 200, 255)  # what is alone in its plot, and stages that somebody else added
 
@@ -63,9 +63,12 @@ class FigureLog:
         """Log figures, by plot and curve, at the stream's present time; the first of a plot say which curves it has."""
         for plot, values in figures.items():
             if plot not in self._curves:
-                self._curves[plot] = list(values)
-                colours = [self._colours.get(name, OTHER) for name in values]
-                look = rr.SeriesLines(names=self._curves[plot], colors=colours, widths=1.5)
+                names = self._curves[plot] = [
+                    *(n for n in self._colours if n in values),
+                    *(n for n in values if n not in self._colours),
+                ]
+                colours = [self._colours.get(name, OTHER) for name in names]
+                look = rr.SeriesLines(names=names, colors=colours, widths=1.5)
                 self._stream.log(f"/stats/{plot}", look, static=True)
             row = [values.get(name, np.nan) for name in self._curves[plot]]
             self._stream.log(f"/stats/{plot}", rr.Scalars(row))

@@ -8,12 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from frontend.colours import CYCLE, track_colours
 from tests.helpers.command import EVERY_FRAME, curve, seen_tracks
 from tests.helpers.made_tracks import blank_tracks
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
 from tests.helpers.viewer import FRAMES, TRACKS, names_of_views, record
+from viz.blueprint import layout
 from viz.figures import COLOURS
 from viz.stages import (
     coarse_descriptors,
@@ -114,6 +116,14 @@ def test_the_recording_carries_the_layout(entities, path):
     plots = {"Lines per frame", "Track length (frames)", "Time per stage (ms)", "Log"}
     stages = {"Edges", "Orientation (hue: angle)", "Regions of lines", "Segments (hue: angle)"}
     assert names_of_views(path) == {TRACKS} | stages | plots
+
+
+def test_wide_images_have_the_whole_width():
+    """Else the tracks are beside the stages."""
+    usual, wide = (layout("default", size).root_container.contents for size in ((640, 480), (1241, 376)))
+    assert [len(row.contents) for row in usual] == [2, 4]
+    assert isinstance(wide[0], rrb.Spatial2DView)
+    assert len(wide) == 3
 
 
 def test_orientations_are_numbers_with_colours_and_names(entities):
