@@ -155,14 +155,17 @@ def process(
 def _written(save: Path | None, track_files: Iterable[list[Path]]) -> list[str]:
     """The files of a run, each with a word where one is replaced."""
     paths = [*([] if save is None else [save]), *(files[0] for files in track_files)]
-    return [f"{path} (in place of the one that is there)" if path.exists() else f"{path}" for path in paths]
+    there = [os.path.exists(path) for path in paths]  # noqa: PTH110  pathlib raises for long names
+    return [f"{path}{' (in place of the one that is there)' * old}" for path, old in zip(paths, there, strict=True)]
 
 
 def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> None:
     """Refuse, before any work, what cannot be written, and to write over the input or twice into one file."""
     for flag, path, suffix in (("--save", options.save, ".rrd"), ("--summary", options.summary, ".json")):
         # the suffix keeps a slip of the hand from replacing the input
-        if path is not None and (path.suffix.lower() != suffix or not os.path.isdir(path.parent)):  # noqa: PTH112
+        if path is not None and (
+            path.suffix.lower() != suffix or os.path.isdir(path) or not os.path.isdir(path.parent)  # noqa: PTH112
+        ):
             raise InputError(f"cannot write {flag} {path}: give a name that ends with {suffix} in a folder that exists")
     taken = {} if options.input is None else {os.path.realpath(options.input): "the input"}
     for path in (options.save, options.summary, *track_files):

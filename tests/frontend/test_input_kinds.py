@@ -239,7 +239,7 @@ def test_info_of_a_video(tmp_path: Path) -> None:
     source.close()
     rows = {name: text.strip() for name, text in lines.items()}
     assert rows["kind"] == "video file (mp4)"
-    assert rows["size"] == "120x256, colour, 8 bits"
+    assert rows["size"] == "120x256 colour, 8 bits"
     assert rows["frames"] == "40"
     assert rows["last time"] == "1.560000000 s"
     assert rows["rate"] == "25 frames/s"

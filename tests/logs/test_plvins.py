@@ -242,11 +242,12 @@ def test_what_a_killed_run_leaves_is_whole_when_ros_has_reindexed_it(tmp_path, m
     assert len(whole) == 29
     for size in [sizes[1], sizes[20] - 10, sizes[20] + 300, len(left)]:
         path.write_bytes(left[:size])
-        with pytest.raises(InputError, match="reindex"):
-            open_log(path)
+        count = sum(end <= size for end in sizes[1:])
+        with closing(open_log(path)) as log:
+            found = log.topics[TOPIC].count if TOPIC in log.topics else 0
+            assert found in (count, count + 1), "readable as it is, a cut chunk too"
         done = subprocess.run([*ROS1, shutil.which("rosbag"), "reindex", "-q", "-f", path], capture_output=True)
         assert (done.returncode, done.stderr) == (0, b"")
-        count = sum(end <= size for end in sizes[1:])
         assert read_rosbag(path) == read_bag(path) == whole[:count]
         with closing(open_log(path)) as log:
             assert log.topics[TOPIC].count == count
