@@ -17,6 +17,7 @@ from airline.kernels.compiled import njit
 from frontend.tracking.camera_motion import Motion
 
 DEPTH, DEPTH_ERROR = 1.0, 1.0  # inverse depth of a new line, in that of the scene, and its standard deviation
+UNSURE = 1.0  # px, of an end whose variance was lost
 SLOPE = 2.0  # by how much inverse depth changes along a line as long as the focal length, in its own unit
 STILL, MOVING, PER_PIXEL = 0.03, 0.09, 0.01  # px, error of a prediction: always, of a motion of 1 px, and per px
 DEPTH_WALK = 0.01  # of inverse depth from frame to frame: what the motion's error makes of it
@@ -285,4 +286,17 @@ def _slide(segments, depths, covariances, low, high):  # type: ignore[no-untyped
         first, last = depths[n, 0], depths[n, 1]
         depths[n, 0], depths[n, 1] = (1 - a) * first + a * last, (1 - b) * first + b * last
         _congruence(M, covariances[n])
+        _keep_positive(covariances[n])
     return segments, depths, covariances
+
+
+@njit(inline="always")
+def _keep_positive(P):  # type: ignore[no-untyped-def]
+    """Of ends that lay far outside of the image, rounding is larger than what is left when they come back."""
+    for k in range(4):
+        if not P[k, k] > 0:
+            P[k, k] = UNSURE**2 if k < 2 else DEPTH_ERROR**2
+    for row in range(4):
+        for column in range(row):
+            most = (1 - 1e-6) * np.sqrt(P[row, row] * P[column, column])
+            P[row, column] = P[column, row] = min(max(P[row, column], -most), most)

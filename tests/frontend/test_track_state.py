@@ -213,6 +213,19 @@ def test_ends_slide_along_the_line_and_back(seed, low, high):
 
 
 @settings(max_examples=100, deadline=None)
+@given(seeds, st.floats(2, 6))
+def test_errors_stay_positive_where_ends_come_back_from_far_away(seed, power):
+    """The table keeps float32, which of large errors leaves nothing of what belongs to the middle."""
+    segments, depths, covariances = random_states(seed)
+    far = np.full(len(segments), 10.0**power)
+    away = slide(segments, depths, covariances, far, far + 1)
+    rounded = [np.float32(values).astype(np.float64) for values in away]
+    near = slide(*rounded, -far, 1 - far)[2]
+    assert (np.linalg.eigvalsh(near[:, :2, :2]) > 0).all()
+    assert (np.linalg.eigvalsh(near[:, 2:, 2:]) > 0).all()
+
+
+@settings(max_examples=100, deadline=None)
 @given(seeds)
 def test_ends_and_offset_with_angle_are_two_names_of_one_error(seed):
     rng = np.random.default_rng(seed)
