@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 CYCLE = 6765  # a multiple of 15, for the saturation, and a Fibonacci number, for the hue: no seam
-PALE = 0.55  # how far a tentative track's colour is moved towards white
 
 
 def hsv_to_rgb(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArray[np.uint8]:
@@ -21,27 +20,19 @@ def hsv_to_rgb(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArr
     return colours
 
 
-def track_colours(ids: NDArray[np.int64], confirmed: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
-    """Colours that stay with a track's id: bright, and far apart for ids that follow each other.
+def track_colours(ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(N, 3) uint8 RGB that stay with (N,) int64 ids of tracks: bright, and far apart for ids that follow each other.
 
     Hues step by the golden ratio, which spreads any run of ids evenly; saturation changes more slowly, for ids whose
     hues come close again. After `CYCLE` ids the colours come round.
-
-    Args:
-        ids: (N,) int64 track ids.
-        confirmed: (N,) mask; the others are drawn paler in the same hue. None: all confirmed.
-
-    Returns:
-        (N, 3) uint8 RGB.
     """
-    bright, pale = (colours[ids % CYCLE] for colours in _cycle())
-    return bright if confirmed is None else np.where(confirmed[:, None], bright, pale)
+    colours: NDArray[np.uint8] = _cycle()[ids % CYCLE]
+    return colours
 
 
 @cache
-def _cycle() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """(CYCLE, 3) uint8 RGB each: bright and pale."""
+def _cycle() -> NDArray[np.uint8]:
+    """(CYCLE, 3) uint8 RGB."""
     ids = np.arange(CYCLE)
     saturation = np.array([0.9, 0.65, 0.8])[(ids // 5) % 3]
-    bright = hsv_to_rgb((ids * GOLDEN_RATIO) % 1, saturation, np.ones(CYCLE))
-    return bright, np.rint(bright + PALE * (255.0 - bright)).astype(np.uint8)
+    return hsv_to_rgb((ids * GOLDEN_RATIO) % 1, saturation, np.ones(CYCLE))

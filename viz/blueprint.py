@@ -6,46 +6,65 @@ from typing import Literal
 
 import rerun.blueprint as rrb
 
-Kind = Literal["minimal", "full"]
-LINES = ("/camera/tracks", "/camera/tracks/lost", "/camera/tails")
+Kind = Literal["minimal", "default", "full"]
+CLEAN, REST = ("/camera/tracks", "/camera/tails"), ("/camera/tracks/rest", "/camera/tracks/lost")
+BOLD, TAILS = "bold: long and old", "tails: where they were"
+WIDE = 2.5  # images of this width to height have the whole width of the window
 
 
-def layout(kind: Kind = "full", *, image: bool = True, stages: bool = True, space: bool = False) -> rrb.Blueprint:
+def layout(
+    kind: Kind = "default",
+    size: tuple[int, int] | None = None,
+    *,
+    image: bool = True,
+    stages: bool = True,
+    space: bool = False,
+) -> rrb.Blueprint:
     """The blueprint of a run.
 
     Args:
-        kind: minimal shows the image with its tracks, their number and the log; full adds the detector's stages and
-            all figures.
+        kind: minimal shows the image with its tracks, their number and the log; default adds the detector's stages and
+            all figures; full shows all tracks, tentative and lost ones too.
+        size: width and height of the image, px; it decides what is beside what.
         image: whether the recording has the camera's image.
         stages: whether the recording has the detector's stages.
         space: whether it has poses or lines in space.
     """
     below = ["/camera/image"] if image else []
-    tracks = _camera_view("Tracks", *below, *LINES)
-    counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="RightBottom"))
+    tracks = _camera_view(f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", *below, *CLEAN)
+    if kind == "full":
+        tracks = _camera_view(f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", *below, *REST, *CLEAN)
+    counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="LeftTop"))
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     log = rrb.TextLogView(origin="/log", name="Log", columns=columns)
     if kind == "minimal":
         return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(counts, log), row_shares=[4, 1]))
     length = _plot("track_length", "Track length (frames)", rrb.PlotLegend(visible=False))
-    times = _plot("time_ms", "Time per stage (ms)", rrb.PlotLegend(corner="RightTop"))
-    beside: list[rrb.View | rrb.Container] = [_space_view()] if space else []
+    times = _plot("time_ms", "Time per stage (ms)", rrb.PlotLegend(corner="LeftTop"))
+    figures = rrb.Horizontal(counts, times, length, log, column_shares=[3, 3, 2, 2])
+    views: list[rrb.View | rrb.Container] = [_space_view()] if space else []
+    aspect = size[0] / size[1] if size else 4 / 3
+    wide = aspect >= WIDE
     if stages:
-        beside.append(
-            rrb.Grid(
-                _camera_view("Edges", "/camera/edges"),
-                _camera_view("Orientation (hue = angle)", "/camera/orientation"),
-                _camera_view("Regions of lines", "/camera/regions"),
-                _camera_view("Segments", *below, "/camera/segments"),
-                grid_columns=2,
-            )
-        )
-    top = rrb.Horizontal(tracks, rrb.Vertical(*beside), column_shares=[3, 2]) if beside else tracks
-    return _blueprint(rrb.Vertical(top, rrb.Horizontal(counts, length, times, log), row_shares=[3, 1]))
+        pictures = [
+            _camera_view("Edges", "/camera/edges"),
+            _camera_view("Orientation (hue: angle)", "/camera/orientation"),
+            _camera_view("Regions of lines", "/camera/regions"),
+            _camera_view("Segments (hue: angle)", *below, "/camera/segments"),
+        ]
+        views.append(rrb.Grid(*pictures, grid_columns=4 if wide else 2))
+    if not views:
+        return _blueprint(rrb.Vertical(tracks, figures, row_shares=[5, 2]))
+    if wide:
+        shares = [16 / aspect, 4 / aspect + 0.5 if not space else 4, 3]
+        return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(*views), figures, row_shares=shares))
+    share = min(max(0.44 * aspect, 0.35), 0.6)  # of the window's width
+    top = rrb.Horizontal(tracks, rrb.Vertical(*views), column_shares=[share, 1 - share])
+    return _blueprint(rrb.Vertical(top, figures, row_shares=[5, 2]))
 
 
-def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
-    """The blueprint of a comparison of two runs, with their figures below on one time axis."""
+def side_by_side(names: tuple[str, str], size: tuple[int, int], *, image: bool) -> rrb.Blueprint:
+    """The blueprint of a comparison of two runs, with their figures below on one time axis; wide ones are stacked."""
     below = ["/camera/image"] if image else []
     views = [
         _camera_view(name, *below, f"/{side}/tracks", f"/{side}/unmatched")
@@ -59,7 +78,8 @@ def side_by_side(names: tuple[str, str], *, image: bool) -> rrb.Blueprint:
         "distance": "Distance of matched lines (px)",
     }
     figures = [_plot(path, name, rrb.PlotLegend(visible=path == "lines"), axis) for path, name in plots.items()]
-    return _blueprint(rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*figures), row_shares=[3, 1]))
+    top = (rrb.Vertical if size[0] >= WIDE * size[1] else rrb.Horizontal)(*views)
+    return _blueprint(rrb.Vertical(top, rrb.Horizontal(*figures), row_shares=[3, 1]))
 
 
 def _blueprint(root: rrb.Container) -> rrb.Blueprint:

@@ -25,11 +25,11 @@ from frontend.tracking.assignment import assign
 from frontend.tracks import LineTracks
 from viz.blueprint import side_by_side
 from viz.figures import Clock, FigureLog, median
-from viz.lines import log_lines, state_radii
+from viz.lines import BOLD_RADIUS, THIN_RADIUS, log_lines, picture_scale, picture_size
 from viz.replay import ByStamp, images_of, log_image, recording
 
-SIDES = ("a", "b")
-SERIES = {"a": (255, 150, 40), "b": (60, 170, 255), "matched": (120, 220, 120)}
+SIDES = {"a": (255, 150, 40), "b": (60, 170, 255)}  # and the colours of their curves, RGB
+MATCHING = (120, 220, 120)
 UNMATCHED = np.array([[190, 190, 190]], np.uint8)
 
 Segments = NDArray[np.float32]
@@ -67,38 +67,35 @@ class Comparison:
         self._stream = stream
         self._names = names
         self._clock = Clock(stream)
-        self._figures = FigureLog(stream, self._clock)
+        colours = {**dict(zip(names, SIDES.values(), strict=True)), "matching": MATCHING}
+        self._figures = FigureLog(stream, colours)
         self._frames = self._matched = 0
-        self._lengths: dict[str, Counter[int]] = {side: Counter() for side in SIDES}  # frames of each track
-        for group in ("lines", "matched_share", "track_length"):
-            for name in (*SIDES, "matched") if group == "lines" else SIDES:
-                label = dict(zip(SIDES, names, strict=True)).get(name, name)
-                look = rr.SeriesLines(names=label, colors=SERIES[name], widths=1.5)
-                stream.log(f"/stats/{group}/{name}", look, static=True)
+        self._lengths: dict[str, Counter[int]] = {name: Counter() for name in names}  # frames of each track
+        self._scale = 0.0
 
     def write(self, a: LineTracks, b: LineTracks) -> None:
         """Log the tracks of one image in both runs."""
         self._clock.set(a.frame_index, a.stamp_ns)
         rows, columns, distances = match_lines(a.segments_px, b.segments_px)
-        figures = {"lines/matched": float(len(rows))}
-        for side, tracks, own in (("a", a, rows), ("b", b, columns)):
+        self._scale = self._scale or picture_scale(picture_size(a))
+        figures: dict[str, dict[str, float]] = {"lines": {}, "matched_share": {}, "track_length": {}}
+        for name, side, tracks, own in zip(self._names, SIDES, (a, b), (rows, columns), strict=True):
             self._log_side(f"/{side}", tracks, own, a.ids[rows])
-            self._lengths[side].update(tracks.ids.tolist())
-            figures[f"lines/{side}"] = float(len(tracks))
-            figures[f"matched_share/{side}"] = 100 * len(rows) / len(tracks) if len(tracks) else 0.0
-            figures[f"track_length/{side}"] = median(tracks.ages[tracks.confirmed])
-        if len(distances):
-            figures["distance"] = float(np.median(distances))
-        self._figures.add(a.frame_index, a.stamp_ns, figures)
+            self._lengths[name].update(tracks.ids.tolist())
+            figures["lines"][name] = len(tracks)
+            figures["matched_share"][name] = 100 * len(rows) / len(tracks) if len(tracks) else 0.0
+            figures["track_length"][name] = median(tracks.ages[tracks.confirmed])
+        figures["lines"]["matching"] = len(rows)
+        figures["distance"] = {"median": float(np.median(distances)) if len(distances) else np.nan}
+        self._figures.write(figures)
         self._frames += 1
         self._matched += len(rows)
 
-    def finish(self) -> str:
-        """Log what is waiting; the figures of both runs, a line each."""
-        self._figures.close()
+    def summary(self) -> str:
+        """The figures of both runs, a line each."""
         said = [f"{self._frames} frames that both have, {self._matched} pairs of matching lines"]
-        for side, name in zip(SIDES, self._names, strict=True):
-            lengths = list(self._lengths[side].values())
+        for name in self._names:
+            lengths = list(self._lengths[name].values())
             lines = sum(lengths)
             share = 100 * self._matched / max(lines, 1)
             tracks = f"{len(lengths)} tracks of {median(lengths):.0f} frames (median)"
@@ -108,8 +105,8 @@ class Comparison:
     def _log_side(self, root: str, tracks: LineTracks, rows: Ids, colour_ids: Ids) -> None:
         order = np.argsort(rows)  # ids stay ascending
         rows, colour_ids = rows[order], colour_ids[order]
-        radii = state_radii(tracks.confirmed)
-        colours = track_colours(colour_ids, tracks.confirmed[rows])
+        radii = self._scale * np.where(tracks.confirmed, BOLD_RADIUS, THIN_RADIUS)
+        colours = track_colours(colour_ids)
         log_lines(self._stream, f"{root}/tracks", tracks.segments_px[rows], colours, radii[rows], tracks.ids[rows])
         rest = np.delete(np.arange(len(tracks)), rows)
         segments, ids = tracks.segments_px[rest], tracks.ids[rest]
@@ -137,13 +134,13 @@ def compare(a: Path, b: Path, save: Path | None, connect: str | None) -> str:
     images = ByStamp(images_of(a))
     if images.empty:
         images = ByStamp(images_of(b))
-    layout = side_by_side(names, image=not images.empty)
+    layout = side_by_side(names, picture_size(first[0]), image=not images.empty)
     with recording("airline-compare", f"{a.name} and {b.name}", layout, save, connect) as stream:
         comparison = Comparison(stream, names)
         for pair in chain([first], frames):
             comparison.write(*pair)
             log_image(stream, images.at(pair[0].stamp_ns))
-        return comparison.finish()
+        return comparison.summary()
 
 
 def run(options: argparse.Namespace) -> None:

@@ -18,6 +18,7 @@ from viz.rerun_private import drop_closed_streams
 from viz.viewer import PORT
 
 BEAT_S = 1.0  # how often data is pushed out: what a killed run loses at most
+CHUNK = 16_000_000  # bytes of an entity that wait for each other: few chunks, of a second's pictures each
 PATIENCE_S = 4.0  # a viewer that has not taken all data by then is given up; until then it waits in memory
 SPARE = 50_000_000  # bytes of a disk that are left free: Rerun may wait forever for a writer that a full disk has ended
 CONNECT_S = 2.0
@@ -28,11 +29,13 @@ log = logging.getLogger(__name__)
 def open_stream(application_id: str, *, live: bool) -> rr.RecordingStream:
     """A stream that is not connected to anything yet, without the two timelines of Rerun's that nobody asked for.
 
-    Rows of like data wait for each other, which makes a file smaller; for a viewer, `live`, they wait shorter.
+    Rows of like data wait for each other until they are pushed out, which makes a file smaller; for a viewer, `live`,
+    they wait shorter.
     """
     drop_closed_streams()
     batches = rr.ChunkBatcherConfig.DEFAULT()
-    batches.flush_tick = 0.1 if live else BEAT_S
+    batches.flush_tick = 0.1 if live else 2 * BEAT_S
+    batches.flush_num_bytes = CHUNK
     stream = rr.RecordingStream(application_id, batcher_config=batches)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,16 +9,23 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from frontend.tracks import LineTracks
-from viz.lines import QUIET
 
 YEAR_2000_NS = 946_684_800_000_000_000  # stamps from then on are dates
-COUNTS = {
-    "lines": QUIET,
-    "tracks": (150, 150, 255),
+COLOURS = {  # of curves, RGB, in the order of the legend, which may have no place for the last ones
+    "tracks": (120, 150, 255),
     "confirmed": (80, 220, 100),
-    "measured": (220, 120, 220),
-    "lost": (150, 150, 150),
+    "lines": (255, 196, 64),
+    "measured": (230, 110, 220),
+    "lost": (170, 170, 170),
+    "edges": (80, 220, 100),
+    "track": (250, 80, 80),
+    "refine": (70, 200, 235),
+    "grow": (255, 150, 60),
+    "fit": (255, 225, 70),
+    "orientation": (230, 110, 220),
+    "pixels": (170, 170, 170),
 }
+OTHER = (200, 200, 255)  # what is alone in its plot, and stages that somebody else added
 
 
 class Clock:
@@ -39,61 +45,45 @@ class Clock:
         else:
             self._stream.set_time("sensor_time", duration=np.timedelta64(stamp_ns, "ns"))
 
-    def columns(self, frames: Sequence[int], stamps_ns: Sequence[int]) -> list[rr.TimeColumn]:
-        """Both timelines for rows that are logged at once."""
-        stamps = np.array(stamps_ns, np.int64)
-        kind, unit = ("timestamp", "datetime64[ns]") if self._dated else ("duration", "timedelta64[ns]")
-        return [rr.TimeColumn("frame", sequence=frames), rr.TimeColumn("sensor_time", **{kind: stamps.view(unit)})]
-
 
 class FigureLog:
-    """Logs figures under `/stats`, those of some frames at once: one by one they cost as much as a picture.
+    """Logs figures under `/stats`, all curves of a plot together: one by one they cost as much as a picture.
 
     Args:
         stream: where to log to.
-        clock: whose timelines they are on.
-        wait_s: how long a figure may wait for others.
+        colours: of the curves, RGB, by their names.
     """
 
-    def __init__(self, stream: rr.RecordingStream, clock: Clock, wait_s: float = 0.5) -> None:
+    def __init__(self, stream: rr.RecordingStream, colours: Mapping[str, tuple[int, int, int]] = COLOURS) -> None:
         self._stream = stream
-        self._clock = clock
-        self._wait_s = wait_s
-        self._sent = time.monotonic()
-        self._waiting: dict[str, list[tuple[int, int, float]]] = {}  # frame, stamp, value
+        self._colours = colours
+        self._curves: dict[str, list[str]] = {}  # names, by plot
 
-    def name_counts(self) -> None:
-        """Log, once, the colours of the counts' curves: those of the segments, and grey for lost lines."""
-        for name, colour in COUNTS.items():
-            self._stream.log(f"/stats/counts/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
-
-    def add(self, frame: int, stamp_ns: int, figures: Mapping[str, float]) -> None:
-        """Take one frame's figures, by the names of their plots."""
-        for path, value in figures.items():
-            self._waiting.setdefault(path, []).append((frame, stamp_ns, float(value)))
-        if time.monotonic() - self._sent >= self._wait_s:
-            self.close()
-
-    def close(self) -> None:
-        """Log what is waiting."""
-        for path, rows in self._waiting.items():
-            frames, stamps, values = zip(*rows, strict=True)
-            times = self._clock.columns(frames, stamps)
-            self._stream.send_columns(f"/stats/{path}", times, rr.Scalars.columns(scalars=values))
-        self._waiting.clear()
-        self._sent = time.monotonic()
+    def write(self, figures: Mapping[str, Mapping[str, float]]) -> None:
+        """Log figures, by plot and curve, at the stream's present time; the first of a plot say which curves it has."""
+        for plot, values in figures.items():
+            if plot not in self._curves:
+                names = self._curves[plot] = [
+                    *(n for n in self._colours if n in values),
+                    *(n for n in values if n not in self._colours),
+                ]
+                colours = [self._colours.get(name, OTHER) for name in names]
+                look = rr.SeriesLines(names=names, colors=colours, widths=1.5)
+                self._stream.log(f"/stats/{plot}", look, static=True)
+            row = [values.get(name, np.nan) for name in self._curves[plot]]
+            self._stream.log(f"/stats/{plot}", rr.Scalars(row))
 
 
-def track_figures(tracks: LineTracks) -> dict[str, float]:
-    """Counts of tracks and the median age of confirmed ones (frames), by the name of their plot."""
+def track_figures(tracks: LineTracks) -> dict[str, dict[str, float]]:
+    """Counts of tracks and the median age of confirmed ones (frames), by plot and curve."""
     ages = tracks.ages[tracks.confirmed]
-    return {
-        "counts/tracks": len(tracks),
-        "counts/confirmed": len(ages),
-        "counts/measured": tracks.measured.sum(),
-        "counts/lost": len(tracks.lost_ids),
-        "track_length": median(ages),
+    counts = {
+        "tracks": len(tracks),
+        "confirmed": len(ages),
+        "measured": tracks.measured.sum(),
+        "lost": len(tracks.lost_ids),
     }
+    return {"counts": counts, "track_length": {"median": median(ages)}}
 
 
 def median(values: Sequence[float] | NDArray[np.number]) -> float:

@@ -12,75 +12,143 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
+from frontend.tracking.selection import Selection
 from frontend.tracks import LineTracks
 from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
 
 FRAGMENT_TONE = 0.55  # how dark a piece of a broken line is beside whole ones
 LOST_TONE, LOST_GREY = 0.2, 120  # how much of its hue a lost line keeps, on which grey
-CONFIRMED_RADIUS, TENTATIVE_RADIUS, LOST_RADIUS, TAIL_RADIUS = 1.5, 0.75, 0.4, 0.6  # points of the screen
+TAIL_TONE = 0.75  # how dark a tail is beside its line
+# Radii are in pixels of the image per pixel of its size, which is the root of its area: pictures look alike at any size
+BOLD_RADIUS, THIN_RADIUS, FAINT_RADIUS = 0.0020, 0.0006, 0.0004
+BOLD_LINES, SHOWN_LINES = 150, 450  # at most: more would hide the image, or each other
 LOST_FRAMES = 3  # lost lines are drawn for so many frames: where one should be is a guess, which soon is none
 TAIL_FRAMES, TAIL_STEP = 12, 3
-QUIET = (255, 196, 64)  # segments, which are not yet part of any track, RGB
-TAIL_TONE = 0.75  # how dark a tail is beside its line
+TAIL_LENGTH = 0.08  # of the image's size
+
+Size = tuple[int, int]
+
+
+class TrackLog:
+    """Logs the tracks of one stream of frames, fed in time order, at the stream's present time.
+
+    `/camera/tracks`: the best confirmed lines, the best of these bold; `/camera/tracks/rest`: all others that were
+    seen. Both say their `track_id` and whether they were `measured` and not detected; pieces of broken lines are
+    darker. `/camera/tracks/lost`: where lines should be that were lost in the last `LOST_FRAMES` frames, grey.
+    `/camera/tails`: where bold lines were.
+
+    Args:
+        stream: where to log to.
+        show_lost: draw lost lines for as long as they are looked for.
+        tails: log tails.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, *, show_lost: bool = False, tails: bool = True) -> None:
+        self._stream = stream
+        self._show_lost = show_lost
+        self._tails = Tails() if tails else None
+        self._shown, self._bold = Selection(SHOWN_LINES), Selection(BOLD_LINES)
+
+    def write(self, tracks: LineTracks, size: Size) -> None:
+        """Log one frame's tracks; `size` is the image's width and height, px."""
+        scale = picture_scale(size)
+        shown = self._shown.of(tracks.take(tracks.confirmed), size)
+        bold = self._bold.of(shown, size)
+        rest = tracks.take(~np.isin(tracks.ids, shown.ids))
+        radii = scale * np.where(np.isin(shown.ids, bold.ids), BOLD_RADIUS, THIN_RADIUS)
+        self._log_seen("/camera/tracks", shown, radii)
+        self._log_seen("/camera/tracks/rest", rest, scale * THIN_RADIUS)
+        recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
+        ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
+        grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
+        log_lines(self._stream, "/camera/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
+        if self._tails is not None:
+            ids, points, lengths = self._tails.add(tracks, bold.ids, scale * TAIL_LENGTH)
+            dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
+            self._stream.log("/camera/tails", _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS))
+
+    def _log_seen(self, entity: str, tracks: LineTracks, radii: NDArray[np.float64] | float) -> None:
+        colours = track_colours(tracks.ids)
+        fragments = tracks.fragment_of >= 0
+        colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
+        log_lines(self._stream, entity, tracks.segments_px, colours, radii, tracks.ids, measured=tracks.measured)
 
 
 class Tails:
-    """Where the lines' middles were in the last frames. One per stream of frames, fed in time order.
+    """Where lines came from in the last frames. One per stream of frames, fed in time order.
 
-    A tail bends only at every `TAIL_STEP`-th frame, which hides tremble and compresses well.
+    A tail starts at its line's middle. How far a line moved along itself its ends alone tell, and one that only grows
+    or shrinks has not moved at all: the end that moved less counts, and none where they disagree.
     """
 
     def __init__(self) -> None:
         self._added = 0
         self._ids = np.zeros(0, np.int64)
-        self._bends = np.zeros((0, TAIL_FRAMES // TAIL_STEP, 2), np.float32)
+        self._bends = np.zeros((0, TAIL_FRAMES // TAIL_STEP, 2, 2), np.float32)  # lines, the oldest first
 
-    def add(self, tracks: LineTracks) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.intp]]:
+    def add(
+        self, tracks: LineTracks, wanted: NDArray[np.int64], longest: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int_]]:
         """Take the next frame's tracks.
 
         Returns:
-            (N,) rows of the confirmed tracks that have a tail; (P, 2) float32 px, the points of all tails, each from
-            the oldest place to the present one; (N,) how many of them each tail has.
+            (N,) those of the wanted ids that have a tail; (P, 2) float32 px, the points of all tails, none longer than
+            `longest`, each from the present place to the oldest; (N,) how many of them each tail has.
         """
         ids = np.sort(np.concatenate([tracks.ids, tracks.lost_ids]))
         bends = np.full((len(ids), *self._bends.shape[1:]), np.nan, np.float32)
         before = np.searchsorted(self._ids, ids)
         now = np.flatnonzero(np.append(self._ids, -1)[before] == ids)
         bends[now] = self._bends[before[now]]
-        here, middles = np.searchsorted(ids, tracks.ids), tracks.segments_px.mean(axis=1)
-        points = np.concatenate([bends[here], middles[:, None]], axis=1)
+        here = np.searchsorted(ids, tracks.ids)
+        rows = np.searchsorted(tracks.ids, wanted)
+        rows = rows[~np.isnan(bends[here[rows], -1, 0, 0])]
+        way = _way_back(tracks.segments_px[rows], bends[here[rows]], longest)
+        points = (np.rint(way * 2) / 2).astype(np.float32)  # nobody sees half a pixel of a tail, and it compresses well
         if self._added % TAIL_STEP == 0:
             bends[:, :-1], bends[:, -1] = bends[:, 1:], np.nan
-            bends[here, -1] = middles
+            bends[here, -1] = tracks.segments_px
         self._ids, self._bends, self._added = ids, bends, self._added + 1
         known = ~np.isnan(points[:, :, 0])
-        rows = np.flatnonzero(tracks.confirmed & (known.sum(axis=1) > 1))
-        return rows, points[rows][known[rows]], known[rows].sum(axis=1)
+        return tracks.ids[rows], points[known], known.sum(axis=1)
 
 
-def log_tracks(
-    stream: rr.RecordingStream, tracks: LineTracks, tails: Tails | None = None, *, show_lost: bool = False
-) -> None:
-    """Log one frame's tracks at the stream's present time.
+def _way_back(lines: NDArray[np.float32], bends: NDArray[np.float32], longest: float) -> NDArray[np.float32]:
+    """(N, K + 1, 2) places of the middles of (N, 2, 2) lines, then on their (N, K, 2, 2) earlier ones, the last first.
 
-    `/camera/tracks`: confirmed lines thick, tentative ones pale and thin, pieces of broken lines darker, each with its
-    `track_id` and whether it was `measured` and not detected. `/camera/tracks/lost`: where lines should be that were
-    lost in the last `LOST_FRAMES` frames, or with `show_lost` all that are looked for, grey. `/camera/tails`: where
-    confirmed lines were; only with `tails`, those of this stream.
+    NaN where there is no earlier line, and beyond the longest way.
     """
-    colours = track_colours(tracks.ids, tracks.confirmed)
-    fragments = tracks.fragment_of >= 0
-    colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-    radii = state_radii(tracks.confirmed)
-    log_lines(stream, "/camera/tracks", tracks.segments_px, colours, radii, tracks.ids, measured=tracks.measured)
-    shown = show_lost | (tracks.lost_frames <= LOST_FRAMES)
-    lost = tracks.lost_ids[shown]
-    grey = (track_colours(lost) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
-    log_lines(stream, "/camera/tracks/lost", tracks.lost_segments_px[shown], grey, LOST_RADIUS, lost)
-    if tails is not None:
-        rows, points, lengths = tails.add(tracks)
-        dark = (TAIL_TONE * track_colours(tracks.ids[rows])).astype(np.uint8)
-        stream.log("/camera/tails", _strips(strips_2d(points, lengths), dark, TAIL_RADIUS))
+    way = [lines.mean(axis=1)]
+    left = np.full((len(lines), 1), longest, np.float32)
+    for k in reversed(range(bends.shape[1])):
+        earlier = bends[:, k]
+        along = earlier[:, 1] - earlier[:, 0]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+        shifts = ((earlier - lines) * along[:, None]).sum(axis=2)
+        shift = np.where(shifts.prod(axis=1) > 0, np.sign(shifts[:, 0]) * np.abs(shifts).min(axis=1), 0)[:, None]
+        across = earlier[:, 0] - way[-1]
+        across -= (across * along).sum(axis=1, keepdims=True) * along
+        step = across + shift * along
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        step *= np.where(left > 0, np.minimum(1, left / np.maximum(length, 1e-6)), np.nan)
+        way.append(way[-1] + step)
+        left, lines = left - length, earlier
+    return np.stack(way, axis=1)
+
+
+def picture_size(tracks: LineTracks, image: NDArray[np.generic] | None = None) -> Size:
+    """Width and height of the image, px: of the camera's without one, or as the lines need without both."""
+    if image is not None:
+        return image.shape[1], image.shape[0]
+    if tracks.camera is not None:
+        return tracks.camera.width, tracks.camera.height
+    right, down = np.ceil(tracks.segments_px.reshape(-1, 2).max(axis=0, initial=16)).astype(int).tolist()
+    return right, down
+
+
+def picture_scale(size: Size) -> float:
+    """What widths of lines are multiples of."""
+    return float(np.sqrt(size[0] * size[1]))
 
 
 def log_lines(
@@ -92,18 +160,15 @@ def log_lines(
     ids: NDArray[np.int64] | None = None,
     **values: Any,
 ) -> None:
-    """Log (N, 2, 2) lines, px, with (N, 3) or (1, 3) RGB, (N,) radii or one, (N,) ids of their tracks and more."""
+    """Log (N, 2, 2) lines, px, with (N, 3) or (1, 3) RGB, (N,) radii or one, px, (N,) ids of their tracks and more."""
     strips = _strips(strips_2d(segments), colours, radii)
-    stream.log(entity, *([strips] if ids is None else [strips, rr.AnyValues(track_id=ids, **values)]))
-
-
-def state_radii(confirmed: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(N,) points of the screen: confirmed tracks are thicker than tentative ones."""
-    return np.where(confirmed, CONFIRMED_RADIUS, TENTATIVE_RADIUS)
+    known = {} if ids is None else {"track_id": ids, **values}  # as Arrow's arrays, which have types when empty
+    typed = {name: pa.array(column) for name, column in known.items()}
+    stream.log(entity, strips, *([rr.AnyValues(**typed)] if typed else []))
 
 
 def _strips(strips: pa.ListArray, colours: NDArray[np.uint8], radii: NDArray[np.float64] | float) -> rr.LineStrips2D:
-    return rr.LineStrips2D(strips, colors=packed(colours), radii=rr.Radius.ui_points(radii))
+    return rr.LineStrips2D(strips, colors=packed(colours), radii=radii)
 
 
 def pinhole(camera: CameraModel) -> rr.Pinhole:

@@ -19,9 +19,9 @@ from viz.rerun_private import CORNER
 
 IMAGE = "/camera/image"
 ROOTS = (("/camera",), ("/a", "/b"))  # of a run, and of a comparison of two
-LAYERS = ("tails", "tracks/lost", "unmatched", "tracks")  # below each root, the lowest first
+LAYERS = ("tails", "unmatched", "tracks")  # below each root, the lowest first; what the default layout shows
 BACKGROUND = 30  # grey level where a recording has no images
-WIDE_POINTS = 4 / 3  # pixels of line width per point of radius: 2 for confirmed tracks, 1 for all others
+WIDE_POINTS = 4 / 3  # pixels of line width per point of the screen, which radii below 0 are in
 CHANNELS = {1: 1, 4: 3}  # of the colour models that the sink writes, by Rerun's numbers: L and BGR
 
 Picture = NDArray[np.uint8]
@@ -220,7 +220,7 @@ def _strips(rows: Any, k: int) -> Strips:
     return Strips(
         np.split(points, np.cumsum(lists.value_lengths().to_numpy())[:-1]),
         np.stack([colours >> shift & 255 for shift in (24, 16, 8)], axis=1).astype(np.uint8),
-        np.maximum(np.rint(np.abs(radii) * WIDE_POINTS), 1).astype(int),  # radii below 0 are points of the screen
+        np.maximum(np.floor(np.where(radii < 0, -WIDE_POINTS, 2) * radii), 1).astype(int),
     )
 
 

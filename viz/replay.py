@@ -24,7 +24,7 @@ from frontend.tracks import LineTracks
 from viz.blueprint import layout
 from viz.destination import Destination, open_stream
 from viz.figures import Clock, FigureLog, track_figures
-from viz.lines import Tails, log_tracks, pinhole
+from viz.lines import TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.viewer import open_viewer
 
@@ -110,19 +110,20 @@ def replay(path: Path, save: Path | None, connect: str | None, *, show_lost: boo
     frames, images = read_tracks(path), ByStamp(images_of(path))
     count = 0
     with recording("airline-frontend", path.stem, layout("minimal", image=not images.empty), save, connect) as stream:
-        clock, tails = Clock(stream), Tails()
-        with closing(FigureLog(stream, clock)) as figures:
-            figures.name_counts()
-            for tracks in frames:
-                clock.set(tracks.frame_index, tracks.stamp_ns)
-                if not count and tracks.camera is not None:
-                    stream.log("/camera", pinhole(tracks.camera), static=True)
-                log_image(stream, images.at(tracks.stamp_ns))
-                log_tracks(stream, tracks, tails, show_lost=show_lost)
-                if tracks.reset is not None:
-                    stream.log("/log", rr.TextLog(f"all tracks ended: {tracks.reset}", level="WARN"))
-                figures.add(tracks.frame_index, tracks.stamp_ns, track_figures(tracks))
-                count += 1
+        clock, figures = Clock(stream), FigureLog(stream)
+        lines, size = TrackLog(stream, show_lost=show_lost), None
+        for tracks in frames:
+            clock.set(tracks.frame_index, tracks.stamp_ns)
+            if not count and tracks.camera is not None:
+                stream.log("/camera", pinhole(tracks.camera), static=True)
+            image = images.at(tracks.stamp_ns)
+            log_image(stream, image)
+            size = size or picture_size(tracks, None if image is None else image.image)
+            lines.write(tracks, size)
+            if tracks.reset is not None:
+                stream.log("/log", rr.TextLog(f"all tracks ended: {tracks.reset}", level="WARN"))
+            figures.write(track_figures(tracks))
+            count += 1
     return count
 
 

@@ -21,7 +21,7 @@ from frontend.protocols import FrameResult
 from viz.blueprint import Kind, layout
 from viz.destination import Destination, open_stream
 from viz.figures import Clock, FigureLog, track_figures
-from viz.lines import Space, Tails, log_tracks, pinhole
+from viz.lines import Size, Space, TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
 from viz.video import VideoReferences
@@ -66,7 +66,7 @@ class RerunSink:
         name: str | None = None,
         image: ImageMode = "jpeg",
         video: Path | None = None,
-        blueprint: Kind = "full",
+        blueprint: Kind = "default",
         every: int = 1,
         descriptor_every: int = 30,
         jpeg_quality: int = 80,
@@ -83,19 +83,19 @@ class RerunSink:
         self._every = every
         self._descriptor_every = descriptor_every if self._stages else 0
         self._jpeg_quality = jpeg_quality
-        self._show_lost = show_lost
         self._frames = 0
         self._closed = False
         self._has_camera = False
         self._now: Frame | None = None
         self._worker = ThreadPoolExecutor(1, "rerun-sink")
         self._pending: deque[Future[None]] = deque()
-        self._tails = Tails() if self._stages else None
+        self._size: Size | None = None
         self._space: Space | None = None
 
         self._stream = open_stream(application_id, live=connect is not None)
         self._clock = Clock(self._stream)
-        self._figures = FigureLog(self._stream, self._clock, 0.5 if connect is None else 0.1)
+        self._tracks = TrackLog(self._stream, show_lost=show_lost, tails=self._stages)
+        self._figures = FigureLog(self._stream)
         self._warnings = WarningLog(self.log)
         try:
             self._destination = Destination(self._stream, None if save is None else Path(save), connect)
@@ -106,8 +106,6 @@ class RerunSink:
             self.close()
             return
         self._stream.send_recording_name(name or application_id)
-        self._send_layout()
-        self._figures.name_counts()
         if self._stages:
             log_colours(self._stream)
         if self._video is not None:
@@ -124,6 +122,9 @@ class RerunSink:
             return
         self._destination.check()
         self._now = result.frame
+        if self._size is None:
+            self._size = picture_size(result.tracks, result.frame.image)
+            self._send_layout()
         if result.tracks.reset is not None:
             self.log(f"all tracks ended: {result.tracks.reset}", "WARN")
         if self._frames % self._every == 0:
@@ -175,7 +176,6 @@ class RerunSink:
                 waiting.result()
         finally:
             self._worker.shutdown(cancel_futures=True)
-            self._figures.close()
             self._warnings.close()
             self._destination.close()
 
@@ -202,10 +202,10 @@ class RerunSink:
             log_stages(self._stream, result, self._jpeg_quality)
         if descriptor:
             log_descriptors(self._stream, trace)
-        log_tracks(self._stream, result.tracks, self._tails, show_lost=self._show_lost)
-        times = {f"time_ms/{stage}": ms for stage, ms in result.stage_ms.items()}
-        figures = {"counts/lines": len(trace.lines), **track_figures(result.tracks), **times}
-        self._figures.add(frame.index, frame.stamp_ns, figures)
+        self._tracks.write(result.tracks, picture_size(result.tracks, frame.image))
+        figures = track_figures(result.tracks)
+        figures["counts"]["lines"] = len(trace.lines)
+        self._figures.write({**figures, "time_ms": result.stage_ms})
 
     def _in_space(self) -> Space:
         if self._space is None:
@@ -216,7 +216,8 @@ class RerunSink:
 
     def _send_layout(self) -> None:
         space, image = self._space is not None, self._image != "none"
-        send_blueprint(self._stream, layout(self._blueprint, image=image, stages=self._stages, space=space))
+        kind, size = self._blueprint, self._size
+        send_blueprint(self._stream, layout(kind, size, image=image, stages=self._stages, space=space))
 
 
 class WarningLog(logging.Handler):

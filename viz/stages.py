@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from airline.trace import Trace
 from frontend.colours import CYCLE, hsv_to_rgb, track_colours
 from frontend.protocols import FrameResult
-from viz.lines import QUIET, TENTATIVE_RADIUS, log_lines
+from viz.lines import THIN_RADIUS, log_lines, picture_scale
 from viz.rerun_private import class_names, jpeg, segmentation
 
 ANGLES, STRENGTHS = 60, 4  # that colours tell apart: 3 degrees, and quarters of the edge probability
@@ -76,6 +76,14 @@ def orientation_classes(trace: Trace, step: int = 1) -> NDArray[np.uint8]:
     return picture.reshape(height, width)
 
 
+def segment_colours(segments: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(N, 3) uint8 RGB of (N, 2, 2) segments: hue is the angle, as in `orientation_palette`."""
+    dx, dy = (segments[:, 1] - segments[:, 0]).T
+    angle = np.rint(np.arctan2(dy, dx) * (ANGLES / np.pi)).astype(int) % ANGLES
+    colours: NDArray[np.uint8] = orientation_palette()[STRENGTHS * (1 + angle)]
+    return colours
+
+
 def orientation_image(trace: Trace) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB: hue is an edge pixel's angle, brightness its edge probability; the rest is black."""
     return orientation_palette()[orientation_classes(trace)]
@@ -127,7 +135,8 @@ def log_stages(stream: rr.RecordingStream, result: FrameResult, quality: int) ->
     regions = region_image(trace, classes, STEP)
     regions[0, 0] = LARGEST
     stream.log("/camera/regions", segmentation(regions))
-    log_lines(stream, "/camera/segments", trace.lines.segments, np.array([QUIET], np.uint8), TENTATIVE_RADIUS)
+    radius = THIN_RADIUS * picture_scale(trace.edges.shape)
+    log_lines(stream, "/camera/segments", trace.lines.segments, segment_colours(trace.lines.segments), radius)
 
 
 def log_descriptors(stream: rr.RecordingStream, trace: Trace) -> None:

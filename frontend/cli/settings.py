@@ -70,7 +70,9 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     jpeg_quality: Annotated[int, Meta(ge=1, le=100, description="of all pictures, 1 to 100")] = 80
     every: Annotated[int, Meta(ge=1, description="record every N-th frame")] = 1
     descriptor_every: Annotated[int, Meta(ge=0, description="record the descriptors every K frames, 0 never")] = 30
-    blueprint: Annotated[Literal["minimal", "full"], Meta(description="how much the viewer shows")] = "full"
+    blueprint: Annotated[Literal["minimal", "default", "full"], Meta(description="how much the viewer shows")] = (
+        "default"
+    )
     show_lost: Annotated[bool, Meta(description="draw lost lines for as long as they are looked for")] = False
 
 

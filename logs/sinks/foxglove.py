@@ -95,14 +95,14 @@ def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: 
 
 
 def _annotations(tracks: LineTracks, labels: bool) -> ImageAnnotations:
-    """The fused lines in the colours of their ids, tentative ones paler and half transparent."""
+    """The fused lines in the colours of their ids, tentative ones half transparent."""
     stamp = _timestamp(tracks.stamp_ns)
     message = ImageAnnotations(timestamp=stamp)
     lines = message.points.add(type=PointsAnnotation.LINE_LIST, thickness=_THICKNESS, timestamp=stamp)
     confirmed = tracks.confirmed
     points = tracks.segments_px.astype(np.float64) + _CORNER
     colours = np.ones((len(tracks), 4))
-    colours[:, :3] = track_colours(tracks.ids, confirmed) / 255
+    colours[:, :3] = track_colours(tracks.ids) / 255
     colours[~confirmed, 3] = _FAINT
     for x, y in points.reshape(-1, 2).tolist():
         lines.points.add(x=x, y=y)

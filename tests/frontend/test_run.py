@@ -22,7 +22,7 @@ from airline import __version__
 from frontend.cli.terminal import set_up_logging
 from frontend.cli.wiring import has_display
 from logs import read_tracks
-from tests.helpers.command import EVERY_FRAME, Outcome, command, recorded
+from tests.helpers.command import EVERY_FRAME, Outcome, command, curve, recorded, seen_tracks
 from tests.helpers.ports import free_port
 from tests.helpers.viewer import RERUN, saving_viewer
 from viz.viewer import open_viewer
@@ -58,7 +58,7 @@ def entities(run: Run) -> dict[str, dict[str, list[Any]]]:
 
 def tracks(entities: dict[str, dict[str, list[Any]]]) -> tuple[list[Any], list[Any], list[Any]]:
     """Segments, tracked segments and track ids per frame."""
-    tracked = entities["/camera/tracks"]
+    tracked = seen_tracks(entities)
     segments = entities["/camera/segments"]["LineStrips2D:strips"]
     return segments, tracked["LineStrips2D:strips"], tracked["track_id"]
 
@@ -122,8 +122,8 @@ def test_figures_are_those_of_the_recording(run: Run, entities: dict[str, dict[s
     assert f"{len(lengths)} confirmed of {run.figures['ids']} ids" in run.outcome.out
     assert run.figures["track_length_median"] == statistics.median(lengths)
     for stage in STAGES[:-1]:  # the sink cannot record its own time
-        spent = [value for (value,) in entities[f"/stats/time_ms/{stage}"]["Scalars:scalars"]]
-        assert run.figures["stage_ms"][stage] == pytest.approx(statistics.median(spent), abs=0.001)
+        spent = statistics.median(curve(entities, "time_ms", stage))
+        assert run.figures["stage_ms"][stage] == pytest.approx(spent, abs=0.001)
 
 
 def test_the_best_lines_alone_and_how_many_were_left_out(run: Run, clip: Path, tmp_path: Path) -> None:

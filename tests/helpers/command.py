@@ -19,10 +19,8 @@ from frontend.run import main
 ROOT = Path(__file__).parents[2]
 EVERY_FRAME = {
     *(f"/camera/{name}" for name in ("image", "edges", "orientation", "regions", "segments")),
-    *(f"/camera/{name}" for name in ("tracks", "tracks/lost", "tails")),
-    *(f"/stats/counts/{name}" for name in ("lines", "tracks", "confirmed", "measured", "lost")),
-    *(f"/stats/time_ms/{stage}" for stage in ("edges", "pixels", "orientation", "grow", "fit", "refine", "track")),
-    "/stats/track_length",
+    *(f"/camera/{name}" for name in ("tracks", "tracks/rest", "tracks/lost", "tails")),
+    *(f"/stats/{plot}" for plot in ("counts", "time_ms", "track_length")),
 }
 
 
@@ -84,6 +82,26 @@ def recorded(path: Path) -> dict[str, dict[str, list[Any]]]:
                 {name: [rows[k] for k in order] for name, rows in columns.items() if len(rows) == len(order)}
             )
     return entities
+
+
+def seen_tracks(entities: dict[str, dict[str, list[Any]]]) -> dict[str, list[Any]]:
+    """Columns of all tracks that were seen, frame by frame in the order of their ids."""
+    shown, rest = entities["/camera/tracks"], entities["/camera/tracks/rest"]
+    assert shown["frame"] == rest["frame"]
+    columns = {"frame": shown["frame"], "sensor_time": shown["sensor_time"]}
+    for name in ("track_id", "measured", "LineStrips2D:strips", "LineStrips2D:colors"):
+        columns[name] = []
+        for k in range(len(shown["frame"])):
+            both = zip(shown["track_id"][k] + rest["track_id"][k], shown[name][k] + rest[name][k], strict=True)
+            columns[name].append([value for _, value in sorted(both, key=lambda pair: pair[0])])
+    return columns
+
+
+def curve(entities: dict[str, dict[str, list[Any]]], plot: str, name: str) -> list[float]:
+    """The values of a curve."""
+    columns = entities[f"/stats/{plot}"]
+    ((*names,),) = (row for row in columns["SeriesLines:names"] if row)
+    return [row[names.index(name)] for row in columns["Scalars:scalars"] if row]
 
 
 def read_screen(control: int, watch: Callable[[bytes], None] = lambda screen: None) -> str:

@@ -23,6 +23,7 @@ from viz.rerun_sink import RerunSink
 from viz.viewer import start, stop
 
 FRAMES = 10
+TRACKS = "Tracks (bold: long and old, thin: other confirmed ones, tails: where they were)"
 RERUN = Path(sys.executable).parent / "rerun"
 
 
@@ -47,18 +48,24 @@ def record(path: Path, results: Iterable[FrameResult] | None = None, **options: 
     return recorded(path)
 
 
-def names_of_views(path: Path) -> set[str]:
-    """The titles in a recording's layouts."""
+def contents_of_views(path: Path) -> dict[str, set[str]]:
+    """What the views in a recording's layouts show, by their titles."""
     from rerun.chunk import RrdReader
 
-    batches = (
-        chunk.to_record_batch()
-        for blueprint in RrdReader(path).blueprints()
-        for chunk in RrdReader(path).stream(store=blueprint).to_chunks()
-    )
-    column = "ViewBlueprint:display_name"
-    rows = (batch.column(column).to_pylist() for batch in batches if column in batch.schema.names)
-    return {name for columns in rows for row in columns for name in row}
+    found: dict[str, dict[str, list[str]]] = {"ViewBlueprint:display_name": {}, "ViewContents:query": {}}
+    for blueprint in RrdReader(path).blueprints():
+        for chunk in RrdReader(path).stream(store=blueprint).to_chunks():
+            batch = chunk.to_record_batch()
+            for column, values in found.items():
+                if column in batch.schema.names:
+                    values[chunk.entity_path.removesuffix("/ViewContents")] = batch.column(column).to_pylist()[-1]
+    names, contents = found.values()
+    return {name: set(contents[view]) for view, (name,) in names.items()}
+
+
+def names_of_views(path: Path) -> set[str]:
+    """The titles in a recording's layouts."""
+    return set(contents_of_views(path))
 
 
 def snapshot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:

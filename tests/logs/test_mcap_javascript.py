@@ -77,7 +77,7 @@ def test_tracks(script: Path, tmp_path: Path) -> None:
         points = np.array([(p["x"], p["y"]) for p in lines["points"]]).reshape(-1, 2, 2)
         np.testing.assert_allclose(points - 0.5, tracks.segments_px, atol=1e-9)
         colours = np.array([[c[k] for k in "rgb"] for c in lines["outline_colors"]])
-        np.testing.assert_allclose(colours * 255, track_colours(tracks.ids, tracks.confirmed), atol=1e-6)
+        np.testing.assert_allclose(colours * 255, track_colours(tracks.ids), atol=1e-6)
         assert [text["text"] for text in drawn["texts"]] == [str(i) for i in tracks.ids[tracks.confirmed]]
     (calibration,) = topics["/camera/calibration"]["messages"]
     camera = results[0].frame.camera

@@ -75,7 +75,7 @@ def test_annotations_lie_on_the_lines_in_the_colours_of_the_ids(messages):
         points = np.array([(p.x, p.y) for p in lines.points]).reshape(-1, 2, 2)
         np.testing.assert_allclose(points - 0.5, tracks.segments_px, atol=1e-9)
         colours = np.array([(c.r, c.g, c.b, c.a) for c in lines.outline_colors])
-        expected = track_colours(tracks.ids, tracks.confirmed)
+        expected = track_colours(tracks.ids)
         np.testing.assert_allclose(colours[:, :3] * 255, expected, atol=1e-6)
         assert (colours[tracks.confirmed, 3] == 1).all()
         assert (colours[~tracks.confirmed, 3] < 0.6).all()

@@ -12,7 +12,7 @@ from frontend.colours import track_colours
 from frontend.tracks import FIELDS, LineTracks
 from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.tables import ParquetTrackSink
-from tests.helpers.command import recorded, refusal
+from tests.helpers.command import curve, recorded, refusal
 from tests.helpers.made_tracks import clip_results, write_tracks
 from viz.compare import main, match_lines
 
@@ -63,7 +63,7 @@ def test_a_run_and_itself(files, tmp_path, capsys):
         assert a["track_id"][row] == b["track_id"][row] == result.tracks.ids.tolist()
         assert colours_by_line(a, row) == colours_by_line(b, row)
     assert all(not strips for side in "ab" for strips in entities[f"/{side}/unmatched"]["LineStrips2D:strips"])
-    assert [values[0] for values in entities["/stats/distance"]["Scalars:scalars"]] == [0.0] * len(clip_results())
+    assert curve(entities, "distance", "median") == [0] * len(clip_results())
     assert capsys.readouterr().out.count("100.0 %") == 2
     assert len(entities["/camera/image"]["frame"]) == len(clip_results())  # those of the log
 
@@ -78,18 +78,17 @@ def test_matching_lines_have_matching_colours(files, tmp_path, capsys):
         same += sum(colour_of_a.get(track - 1000) == colour for track, colour in colour_of_b.items())
         total += len(colour_of_b)
         ids = np.array(list(colour_of_a), np.int64)
-        expected = track_colours(ids, result.tracks.confirmed[np.isin(result.tracks.ids, ids)]).astype(np.uint32)
+        expected = track_colours(ids).astype(np.uint32)
         rgb = np.array(list(colour_of_a.values()), np.uint32) >> 8
         np.testing.assert_array_equal(rgb, expected @ np.array([65536, 256, 1], np.uint32))
         unmatched = entities["/b/unmatched"]["track_id"][row]
         assert sorted([*colour_of_b, *unmatched]) == moved(result.tracks).ids.tolist()
     assert same > 0.95 * total
     assert f"{len(clip_results())} frames" in capsys.readouterr().out
-    for side, least, most in (("b", 95, 100), ("a", 70, 85)):
-        shares = [share[0] for share in entities[f"/stats/matched_share/{side}"]["Scalars:scalars"] if share]
+    for name, least, most in (("B: b.parquet", 95, 100), ("A: a.parquet", 70, 85)):
+        shares = curve(entities, "matched_share", name)
         assert least < min(shares) <= max(shares) <= most
-    distances = [values[0] for values in entities["/stats/distance"]["Scalars:scalars"]]
-    np.testing.assert_allclose(distances, SHIFT_PX, atol=0.02)
+    np.testing.assert_allclose(curve(entities, "distance", "median"), SHIFT_PX, atol=0.02)
     assert "/camera/image" not in entities
 
 

@@ -16,11 +16,12 @@ import pytest
 
 from airline.errors import ConfigError, InputError
 from frontend.colours import CYCLE, track_colours
-from tests.helpers.command import command, recorded, refusal
-from tests.helpers.made_tracks import clip_results
+from tests.helpers.command import command, curve, recorded, refusal, seen_tracks
+from tests.helpers.made_tracks import blank_tracks, clip_results
 from tests.helpers.moving_rectangle import HEIGHT, RESET_FRAME, STEP_NS, WIDTH, frame_results, rectangle, trace_of
 from tests.helpers.videos import encode, number_in, trim
-from tests.helpers.viewer import FRAMES, names_of_views, record
+from tests.helpers.viewer import FRAMES, TRACKS, contents_of_views, names_of_views, record
+from viz.lines import BOLD_LINES, SHOWN_LINES, TAIL_LENGTH, Tails
 from viz.overlay import write_film
 from viz.rerun_sink import RerunSink
 
@@ -52,7 +53,7 @@ def test_video_is_logged_once_and_referred_to_by_time(tmp_path, name):
     assert not rows.keys() & STAGES
     assert rows["/camera/tracks"]["frame"] == list(range(FRAMES))
     figures = {"Lines per frame", "Track length (frames)", "Time per stage (ms)"}
-    assert names_of_views(tmp_path / "run.rrd") == {"Tracks", "Log"} | figures
+    assert names_of_views(tmp_path / "run.rrd") == {TRACKS, "Log"} | figures
 
 
 def test_video_with_a_header_that_rerun_cannot_read_is_mended(tmp_path):
@@ -106,7 +107,7 @@ def test_video_and_changed_frames_exclude_each_other(tmp_path, flags):
 
 def test_every_fourth_frame_and_all_resets(tmp_path):
     rows = record(tmp_path / "run.rrd", every=4, descriptor_every=8)
-    for path in ("/camera/image", "/camera/tracks", "/stats/counts/lines", *STAGES):
+    for path in ("/camera/image", "/camera/tracks", "/stats/counts", *STAGES):
         assert rows[path]["frame"] == [0, 4, 8]
     assert rows["/camera/descriptor"]["frame"] == [0, 8]
     assert rows["/log"]["frame"] == [RESET_FRAME]
@@ -118,21 +119,21 @@ def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
     more = {"lost_ids": np.array([7]), "lost_segments_px": rectangle(9)[:1], "lost_frames": np.array([1])}
     tracks = dataclasses.replace(result.tracks, fragment_of=np.array([-1, 0, -1, 0]), **more)
     rows = record(tmp_path / "run.rrd", [dataclasses.replace(result, tracks=tracks)])
-    seen, lost = rows["/camera/tracks"], rows["/camera/tracks/lost"]
+    seen, rest, lost = (rows[f"/camera/tracks{name}"] for name in ("", "/rest", "/lost"))
 
     def colours(columns: dict[str, list]) -> np.ndarray:
         return np.array(columns["LineStrips2D:colors"][0], ">u4").view("u1").reshape(-1, 4)[:, :3].astype(int)
 
-    whole, piece, young, young_piece = colours(seen)
-    radii = np.abs(seen["LineStrips2D:radii"][0])
-    assert radii[0] == radii[1] > radii[2] == radii[3] > np.abs(lost["LineStrips2D:radii"][0][0])
+    (whole, piece), (young, young_piece) = colours(seen), colours(rest)
+    bold, (thin,), (faint,) = (columns["LineStrips2D:radii"][0] for columns in (seen, rest, lost))
+    assert bold[0] == bold[1] > thin > faint > 0
     assert whole.max() == young.max() == 255
     assert max(piece.max(), young_piece.max()) < 160
-    assert young.min() > whole.min() + 50, "tentative lines are paler"
+    np.testing.assert_array_equal(young, track_colours(np.array([2]))[0])
     assert np.ptp(colours(lost)) < 60, "lost ones are grey"
     assert lost["track_id"] == [[7]]
     np.testing.assert_array_equal(np.float32(lost["LineStrips2D:strips"][0]), rectangle(9)[:1] + np.float32(0.5))
-    assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[1.0]]
+    assert curve(rows, "counts", "lost") == [1]
 
 
 @pytest.mark.parametrize(("flags", "shown"), [({}, [5, 7]), ({"show_lost": True}, [5, 6, 7, 8])])
@@ -147,7 +148,7 @@ def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path, flags,
     assert lost["track_id"] == [shown]
     drawn = np.float32(lost["LineStrips2D:strips"][0])
     np.testing.assert_array_equal(drawn, rectangle(9)[np.isin(more["lost_ids"], shown)] + np.float32(0.5))
-    assert rows["/stats/counts/lost"]["Scalars:scalars"] == [[4.0]], "the figures count all"
+    assert curve(rows, "counts", "lost") == [4], "the figures count all"
 
 
 def test_tracks_that_were_measured_say_so_and_have_no_region(tmp_path):
@@ -159,22 +160,63 @@ def test_tracks_that_were_measured_say_so_and_have_no_region(tmp_path):
     blank = dataclasses.replace(second, trace=trace_of(rectangle(1)[:0]), tracks=none)
     labelled = dataclasses.replace(first.trace, labels=np.arange(len(first.trace.pixels)).astype(np.int32) % 4)
     rows = record(tmp_path / "run.rrd", [dataclasses.replace(first, trace=labelled, tracks=some), blank])
-    assert rows["/camera/tracks"]["measured"] == [measured.tolist(), [True] * 4]
-    assert rows["/camera/tracks"]["track_id"] == [[0, 1, 2, 3]] * 2
-    assert rows["/stats/counts/measured"]["Scalars:scalars"] == [[2.0], [4.0]]
+    assert seen_tracks(rows)["measured"] == [measured.tolist(), [True] * 4]
+    assert seen_tracks(rows)["track_id"] == [[0, 1, 2, 3]] * 2
+    assert curve(rows, "counts", "measured") == [2, 4]
     classes = [
         np.array(row[0], np.uint8).view(np.uint16) for row in rows["/camera/regions"]["SegmentationImage:buffer"] if row
     ]
     assert [set(picture[1:].tolist()) for picture in classes] == [{0, 1, 3}, {0}]
 
 
-def test_tails_end_at_the_lines_and_lead_where_they_were(tmp_path):
+def test_tails_lead_from_the_lines_to_where_they_were(tmp_path):
     tails = record(tmp_path / "run.rrd")["/camera/tails"]["LineStrips2D:strips"]
     assert [len(row) for row in tails] == [0, 0] + [2] * (FRAMES - 2)  # two lines are confirmed from the third frame on
-    middles = np.array([rectangle(k).mean(axis=1) + 0.5 for k in range(FRAMES)])
+    longest = TAIL_LENGTH * np.sqrt(WIDTH * HEIGHT)
     for k in range(2, FRAMES):
-        ends = [(tail[0], tail[-1]) for tail in tails[k]]
-        np.testing.assert_allclose(ends, np.stack([middles[0, :2], middles[k, :2]], axis=1), atol=1e-4)
+        for tail, middle in zip(tails[k], rectangle(k)[:2].mean(axis=1) + 0.5, strict=True):
+            way = np.array([3, 2]) * min(k, longest / np.hypot(3, 2))  # the rectangle's motion is (3, 2) px per frame
+            np.testing.assert_allclose([tail[0], tail[-1]], [middle, middle - way], atol=0.3)
+
+
+@pytest.mark.parametrize("shorter", [200, 120])
+def test_tails_do_not_follow_ends_that_come_and_go(shorter):
+    tails = Tails()
+    for k in range(12):
+        start, end = (20, 200) if k // 3 % 2 else (50, shorter)
+        line = np.array([[[start, 50 + k], [end, 50 + k]]], np.float32)
+        tracks = blank_tracks(1, segments_px=line)
+        _, points, _ = tails.add(tracks, tracks.ids, 100)
+    middle = (start + end) / 2
+    np.testing.assert_allclose(points, [(middle, 61), (middle, 59), (middle, 56), (middle, 53), (middle, 50)], atol=0.3)
+
+
+def test_at_most_so_many_lines_are_bold_or_shown_and_all_are_there(tmp_path):
+    """Many lines; the view leaves out what is in `rest`, and those who are bold stay so."""
+    count, generator = 600, np.random.default_rng(1)
+    start = generator.uniform(10, 200, (count, 1, 2))
+    lines = np.concatenate([start, start + generator.uniform(5, 60, (count, 1, 2))], axis=1).astype(np.float32)
+    result = list(frame_results(5))[-1]
+    many = blank_tracks(count, frame_index=4, segments_px=lines, states=np.ones(count, np.uint8), ages=np.arange(count))
+    many = dataclasses.replace(many, hits=many.ages + 1, stable=np.ones(count, bool))
+    rows = record(tmp_path / "run.rrd", [dataclasses.replace(result, tracks=many)])
+    shown = rows["/camera/tracks"]
+    radii = np.array(shown["LineStrips2D:radii"][0])
+    assert len(shown["track_id"][0]) == SHOWN_LINES
+    bold = np.array(shown["track_id"][0])[radii == radii.max()]
+    assert len(bold) == BOLD_LINES
+    length = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
+    assert length[bold].mean() > 1.1 * length.mean()
+    assert seen_tracks(rows)["track_id"] == [list(range(count))]
+
+
+@pytest.mark.parametrize("kind", ["minimal", "default", "full"])
+def test_ghosts_and_tentative_lines_are_shown_when_asked_for(tmp_path, kind):
+    record(tmp_path / "run.rrd", blueprint=kind)
+    contents = contents_of_views(tmp_path / "run.rrd")
+    (tracks,) = (paths for name, paths in contents.items() if "racks (" in name)
+    shown = {f"/camera/{name}" for name in ("image", "tracks", "tails", "tracks/rest", "tracks/lost")}
+    assert tracks == shown if kind == "full" else tracks == shown - {"/camera/tracks/rest", "/camera/tracks/lost"}
 
 
 def test_regions_are_in_the_colours_of_their_tracks(tmp_path):
@@ -267,7 +309,7 @@ def test_settings_reach_the_recording(clip, tmp_path):
     assert rows["/camera/tracks"]["frame"] == [0, 2, 4, 6]
     assert not {"/camera/image", "/camera/descriptor"} & rows.keys()
     assert rows.keys() > STAGES | {"/camera/tracks", "/camera/tails"}
-    assert names_of_views(path) == {"Tracks", "Lines per frame", "Log"}
+    assert names_of_views(path) == {TRACKS, "Lines per frame", "Log"}
     sizes = {}
     for quality in (95, 10):
         assert command(clip, "--save", path, "--jpeg-quality", quality).code == 0

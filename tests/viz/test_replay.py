@@ -13,10 +13,10 @@ import pytest
 
 from logs.sinks.foxglove import McapTrackSink
 from logs.sinks.tables import ParquetTrackSink
-from tests.helpers.command import command, recorded, refusal
+from tests.helpers.command import command, curve, recorded, refusal, seen_tracks
 from tests.helpers.made_tracks import clip_results, made_tracks, write_all, write_tracks
 from tests.helpers.ports import free_port
-from tests.helpers.viewer import names_of_views, saving_viewer
+from tests.helpers.viewer import TRACKS, names_of_views, saving_viewer
 from viz.replay import main
 
 
@@ -50,16 +50,15 @@ def test_numbers_are_those_of_the_file(files, tmp_path, name):
     assert f"with {len(clip_results())} frames" in outcome.out
     rows = recorded(tmp_path / "out.rrd")
     expected = [result.tracks for result in clip_results()]
-    assert_tracks(rows["/camera/tracks"], len(expected))
-    found = [values[0] for values in rows["/stats/counts/confirmed"]["Scalars:scalars"] if values]
-    assert found == [tracks.confirmed.sum() for tracks in expected]
+    assert_tracks(seen_tracks(rows), len(expected))
+    assert curve(rows, "counts", "confirmed") == [tracks.confirmed.sum() for tracks in expected]
     assert ("/camera/image" in rows) == (name == "clip.mcap")
     if name == "clip.mcap":
         images = rows["/camera/image"]
         assert images["frame"] == [tracks.frame_index for tracks in expected]
         shown = cv2.imdecode(np.array(images["EncodedImage:blob"][3][0], np.uint8), cv2.IMREAD_COLOR)
         assert np.abs(shown.astype(int) - clip_results()[3].frame.image).mean() < 6
-    assert names_of_views(tmp_path / "out.rrd") == {"Tracks", "Lines per frame", "Log"}
+    assert names_of_views(tmp_path / "out.rrd") == {TRACKS, "Lines per frame", "Log"}
 
 
 def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path):
@@ -70,7 +69,7 @@ def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path):
         assert command(tmp_path / "lost.parquet", "--save", tmp_path / "out.rrd", *flags, main=main).code == 0
         rows = recorded(tmp_path / "out.rrd")
         assert rows["/camera/tracks/lost"]["track_id"] == [tracks.lost_ids[:count].tolist()]
-        assert rows["/camera/tracks"]["measured"] == [tracks.measured.tolist()]
+        assert seen_tracks(rows)["measured"] == [tracks.measured.tolist()]
 
 
 def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(tmp_path, monkeypatch, caplog):
@@ -80,7 +79,7 @@ def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(tmp_path, monkeypatch, ca
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     assert command(tmp_path / "cut.mcap", "--save", tmp_path / "out.rrd", main=main).code == 0
     assert "cut or damaged" in caplog.text
-    columns = recorded(tmp_path / "out.rrd")["/camera/tracks"]
+    columns = seen_tracks(recorded(tmp_path / "out.rrd"))
     assert 2 < len(columns["frame"]) < 10
     assert_tracks(columns, len(columns["frame"]))
 
@@ -108,7 +107,7 @@ def test_a_viewer_that_runs_shows_it(files, tmp_path):
     port = free_port()
     with saving_viewer(port, tmp_path / "received.rrd"):
         assert main([str(files / "clip.parquet"), "--connect", f"127.0.0.1:{port}"]) == 0
-    assert_tracks(recorded(tmp_path / "received.rrd")["/camera/tracks"], len(clip_results()))
+    assert_tracks(seen_tracks(recorded(tmp_path / "received.rrd")), len(clip_results()))
 
 
 def test_a_viewer_that_is_not_there_is_an_error(files):

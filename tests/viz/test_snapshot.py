@@ -18,7 +18,7 @@ from frontend.colours import track_colours
 from tests.helpers.made_tracks import clip_results
 from tests.helpers.moving_rectangle import HEIGHT, STEP_NS, WIDTH, frame_results, rectangle
 from tests.helpers.viewer import FRAMES, RERUN, needs_viewer, record, snapshot
-from viz.lines import log_tracks
+from viz.lines import TrackLog
 from viz.overlay import write_film
 from viz.recording import BACKGROUND, Recording
 from viz.snapshot import headless_viewer, save_film, save_overlay, save_picture, show_frame, wait_until_loaded
@@ -45,13 +45,14 @@ def sides(frame: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("frame", [0, 8])
-def test_lines_have_the_colours_of_the_recording(recording, frame):
+def test_confirmed_lines_and_no_others_have_the_colours_of_the_recording(recording, frame):
     picture = drawn(recording, frame).astype(int)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     tracks = list(frame_results(FRAMES))[frame].tracks
-    for middle, colour in zip(sides(frame), track_colours(tracks.ids, tracks.confirmed)[:, ::-1], strict=True):
+    colours = track_colours(tracks.ids)[:, ::-1]
+    for middle, colour, confirmed in zip(sides(frame), colours, tracks.confirmed, strict=True):
         x, y = np.rint(middle).astype(int)
-        assert np.abs(picture[y - 1 : y + 2, x - 1 : x + 2] - colour).max(axis=2).min() < 40
+        assert (np.abs(picture[y - 1 : y + 2, x - 1 : x + 2] - colour).max(axis=2).min() < 40) == confirmed
     x, y = np.rint(sides(frame).mean(axis=0)).astype(int)
     assert np.abs(picture[y, x] - 150).max() < 8  # the image itself
 
@@ -71,20 +72,25 @@ def lines_alone(path: Path, **camera: float) -> Path:
     with stream_into(path) as stream:
         if camera:
             stream.log("/camera", rr.Pinhole(focal_length=300, **camera), static=True)
+        tracks = TrackLog(stream)
         for k, result in enumerate(frame_results(FRAMES)):
             stream.set_time("frame", sequence=k)
-            log_tracks(stream, result.tracks)
+            tracks.write(result.tracks, (WIDTH, HEIGHT))
     return path
 
 
-def test_lines_are_drawn_between_pixels_and_confirmed_ones_wider(tmp_path):
+def test_lines_are_drawn_between_pixels_and_bold_ones_wider(tmp_path, monkeypatch):
+    monkeypatch.setattr("viz.lines.BOLD_LINES", 1)
+    monkeypatch.setattr("viz.lines.BOLD_RADIUS", 0.005)
     picture = drawn(lines_alone(tmp_path / "lines.rrd", width=WIDTH, height=HEIGHT), 8)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     widths = []
-    for side in sides(8)[[0, 2]]:  # the confirmed upper side and the tentative lower one
-        x, y = np.rint(side).astype(int)
-        profile = np.abs(picture[y - 6 : y + 7, x].astype(float) - BACKGROUND).sum(axis=1)
-        assert y - 6 + np.average(np.arange(13), weights=profile) == pytest.approx(side[1], abs=0.15)
+    for axis, side in zip((1, 0), sides(8), strict=False):  # the upper and the right one, both confirmed
+        x, y = np.rint(side).astype(int) + ((20, 0) if axis else (0, 20))  # off the tail
+        across = picture[y - 6 : y + 7, x] if axis else picture[y, x - 6 : x + 7]
+        profile = np.abs(across.astype(float) - BACKGROUND).sum(axis=1)
+        place = (y if axis else x) - 6 + np.average(np.arange(13), weights=profile)
+        assert place == pytest.approx(side[axis], abs=0.15)
         widths.append((profile > 0.5 * profile.max()).sum())
     assert widths[0] > widths[1]
 
@@ -205,7 +211,7 @@ def test_viewer_shows_the_tracks_and_has_no_complaints(recording, tmp_path):
     assert picture.shape == (800, 1280, 3)
     assert picture.std() > 20
     tracks = list(frame_results(FRAMES))[8].tracks
-    for colour in track_colours(tracks.ids, tracks.confirmed)[:, ::-1]:
+    for colour in track_colours(tracks.ids[tracks.confirmed])[:, ::-1]:
         near = np.abs(picture.astype(int) - colour).max(axis=2) < 12
         assert near.sum() > 50, f"no line in the colour {colour}"
 

@@ -131,7 +131,7 @@ def test_a_viewer_receives_what_is_saved(clip, tmp_path, caplog):
     assert done.code == 0
     assert warnings_in(caplog) == []
     there, here = recorded(received), recorded(tmp_path / "run.rrd")
-    for path in ("/camera/tracks", "/camera/image", "/stats/counts/lines"):
+    for path in ("/camera/tracks", "/camera/image", "/stats/counts"):
         assert there[path]["frame"] == here[path]["frame"]
     assert there["/camera/tracks"]["LineStrips2D:strips"] == here["/camera/tracks"]["LineStrips2D:strips"]
 

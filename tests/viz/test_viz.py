@@ -8,12 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from frontend.colours import CYCLE, track_colours
-from tests.helpers.command import EVERY_FRAME as OF_A_RUN
+from tests.helpers.command import EVERY_FRAME, curve, seen_tracks
 from tests.helpers.made_tracks import blank_tracks
 from tests.helpers.moving_rectangle import CAMERA, RESET_FRAME, STEP_NS, frame_results, rectangle, trace_of
-from tests.helpers.viewer import FRAMES, names_of_views, record
+from tests.helpers.viewer import FRAMES, TRACKS, names_of_views, record
+from viz.blueprint import layout
+from viz.figures import COLOURS
 from viz.stages import (
     coarse_descriptors,
     edge_image,
@@ -22,9 +25,8 @@ from viz.stages import (
     orientation_image,
     orientation_palette,
     region_image,
+    segment_colours,
 )
-
-EVERY_FRAME = {path for path in OF_A_RUN if "time_ms" not in path} | {"/stats/time_ms/edges", "/stats/time_ms/track"}
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,7 @@ def test_epoch_stamps_become_timestamps(tmp_path):
 
     stamp = 1_700_000_000_123_456_789
     rows = record(tmp_path / "epoch.rrd", frame_results(2, first_stamp_ns=stamp))
-    for path in ("/camera/tracks", "/stats/counts/lines"):
+    for path in ("/camera/tracks", "/stats/counts"):
         assert rows[path]["sensor_time"] == [stamp, stamp + STEP_NS]
         chunks = [c for c in RrdReader(tmp_path / "epoch.rrd").stream().to_chunks() if c.entity_path == path]
         batches = [b for b in (c.to_record_batch() for c in chunks) if "sensor_time" in b.schema.names]
@@ -63,25 +65,34 @@ def test_epoch_stamps_become_timestamps(tmp_path):
 
 @pytest.mark.parametrize("entity", ["/camera/segments", "/camera/tracks"])
 def test_segments_are_moved_to_the_corner_convention_and_nothing_else(entities, entity):
-    for k, strips in enumerate(entities[entity]["LineStrips2D:strips"]):
+    columns = seen_tracks(entities) if entity == "/camera/tracks" else entities[entity]
+    for k, strips in enumerate(columns["LineStrips2D:strips"]):
         np.testing.assert_array_equal(np.array(strips, np.float32), rectangle(k) + np.float32(0.5))
 
 
-def test_tracks_keep_their_id_and_their_hue(entities):
-    columns = entities["/camera/tracks"]
+def test_tracks_keep_their_id_and_their_colour_when_they_are_confirmed_too(entities):
+    columns = seen_tracks(entities)
     assert columns["track_id"] == [[0, 1, 2, 3]] * FRAMES
-    assert all(columns["LineStrips2D:colors"][k] == columns["LineStrips2D:colors"][2] for k in range(2, FRAMES))
+    assert columns["LineStrips2D:colors"] == [columns["LineStrips2D:colors"][0]] * FRAMES
+    assert entities["/camera/tracks"]["track_id"] == [[]] * 2 + [[0, 1]] * (FRAMES - 2)
 
 
 def test_statistics(entities):
-    def figures(path: str) -> list[float]:
-        return [value for (value,) in entities[f"/stats/{path}"]["Scalars:scalars"]]
+    assert curve(entities, "counts", "lines") == curve(entities, "counts", "tracks") == [4] * FRAMES
+    assert curve(entities, "counts", "confirmed") == [0, 0] + [2] * (FRAMES - 2)
+    assert curve(entities, "counts", "measured") == [0] * FRAMES
+    assert curve(entities, "track_length", "median") == [0, 0, *range(2, FRAMES)]
+    assert curve(entities, "time_ms", "edges") == [5.0 + k for k in range(FRAMES)]
 
-    assert figures("counts/lines") == figures("counts/tracks") == [4] * FRAMES
-    assert figures("counts/confirmed") == [0, 0] + [2] * (FRAMES - 2)
-    assert figures("counts/measured") == [0] * FRAMES
-    assert figures("track_length") == [0, 0, *range(2, FRAMES)]
-    assert figures("time_ms/edges") == [5.0 + k for k in range(FRAMES)]
+
+def test_curves_have_colours_of_their_own():
+    for names in (
+        ("tracks", "confirmed", "lines", "measured", "lost"),
+        ("edges", "pixels", "orientation", "grow", "fit", "refine", "track"),
+    ):
+        colours = np.array([COLOURS[name] for name in names])
+        apart = np.linalg.norm(colours[:, None] - colours, axis=2)
+        assert apart[~np.eye(len(names), dtype=bool)].min() > 70
 
 
 def test_pinhole_has_the_corner_convention(entities):
@@ -103,8 +114,16 @@ def test_pictures_decode_to_what_went_in(entities):
 
 def test_the_recording_carries_the_layout(entities, path):
     plots = {"Lines per frame", "Track length (frames)", "Time per stage (ms)", "Log"}
-    stages = {"Edges", "Orientation (hue = angle)", "Regions of lines", "Segments"}
-    assert names_of_views(path) == {"Tracks"} | stages | plots
+    stages = {"Edges", "Orientation (hue: angle)", "Regions of lines", "Segments (hue: angle)"}
+    assert names_of_views(path) == {TRACKS} | stages | plots
+
+
+def test_wide_images_have_the_whole_width():
+    """Else the tracks are beside the stages."""
+    usual, wide = (layout("default", size).root_container.contents for size in ((640, 480), (1241, 376)))
+    assert [len(row.contents) for row in usual] == [2, 4]
+    assert isinstance(wide[0], rrb.Spatial2DView)
+    assert len(wide) == 3
 
 
 def test_orientations_are_numbers_with_colours_and_names(entities):
@@ -171,6 +190,19 @@ def test_angles_average_across_the_wrap():
     descriptors[2, [0, 5]] = np.sqrt(0.5)  # between 0 and 150 degrees lies 165, not 75
     descriptors[3, [1, 2]] = np.sqrt(0.5)
     np.testing.assert_allclose(np.degrees(line_angles(descriptors)), [0, 90, 165, 45], atol=1e-3)
+
+
+def test_segments_have_the_hue_of_their_orientation():
+    trace = trace_of(rectangle(0))
+    picture = orientation_image(trace)
+    for (x, y), colour in zip(
+        np.rint(rectangle(0).mean(axis=1)).astype(int), segment_colours(rectangle(0)), strict=True
+    ):
+        assert picture[y, x].tolist() == colour.tolist()
+    slanted = np.array([[[0, 0], [10, 10]], [[10, 10], [0, 0]], [[0, 10], [10, 0]]], np.float32)
+    green, same, violet = segment_colours(slanted).tolist()
+    assert green == same
+    assert green[1] == violet[2] == 255
 
 
 def test_orientation_image_shows_angle_as_hue_and_is_black_off_the_edges():
