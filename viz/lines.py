@@ -39,12 +39,24 @@ class TrackLog:
 
     Args:
         stream: where to log to.
+        root: the entity above all these, in place of `/camera`.
         show_lost: draw lost lines for as long as they are looked for.
         tails: log tails.
+        rest: log `rest` and `lost`.
     """
 
-    def __init__(self, stream: rr.RecordingStream, *, show_lost: bool = False, tails: bool = True) -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        root: str = "/camera",
+        *,
+        show_lost: bool = False,
+        tails: bool = True,
+        rest: bool = True,
+    ) -> None:
         self._stream = stream
+        self._root = root
+        self._rest = rest
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
         self._shown, self._bold = Selection(SHOWN_LINES), Selection(BOLD_LINES)
@@ -54,18 +66,20 @@ class TrackLog:
         scale = picture_scale(size)
         shown = self._shown.of(tracks.take(tracks.confirmed), size)
         bold = self._bold.of(shown, size)
-        rest = tracks.take(~np.isin(tracks.ids, shown.ids))
         radii = scale * np.where(np.isin(shown.ids, bold.ids), BOLD_RADIUS, THIN_RADIUS)
-        self._log_seen("/camera/tracks", shown, radii)
-        self._log_seen("/camera/tracks/rest", rest, scale * THIN_RADIUS)
-        recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
-        ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
-        grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
-        log_lines(self._stream, "/camera/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
+        self._log_seen(f"{self._root}/tracks", shown, radii)
+        if self._rest:
+            rest = tracks.take(~np.isin(tracks.ids, shown.ids))
+            self._log_seen(f"{self._root}/tracks/rest", rest, scale * THIN_RADIUS)
+            recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
+            ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
+            grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
+            log_lines(self._stream, f"{self._root}/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
         if self._tails is not None:
             ids, points, lengths = self._tails.add(tracks, bold.ids, scale * TAIL_LENGTH)
             dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
-            self._stream.log("/camera/tails", _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS))
+            strips = _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS)
+            self._stream.log(f"{self._root}/tails", strips)
 
     def _log_seen(self, entity: str, tracks: LineTracks, radii: NDArray[np.float64] | float) -> None:
         colours = track_colours(tracks.ids)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -20,13 +20,14 @@ from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from viz.blueprint import Kind, layout
 from viz.destination import Destination, open_stream
-from viz.figures import Clock, FigureLog, track_figures
+from viz.figures import TIMELINES, Clock, FigureLog, track_figures
 from viz.lines import Size, Space, TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
 from viz.video import VideoReferences
 
 WAITING = 4  # frames that may wait to be logged
+PROPERTY = "airline"  # under which the facts of a run are found in a catalog
 PACKAGES = ("airline", "frontend", "logs", "viz")
 LEVELS = {logging.WARNING: "WARN", logging.ERROR: "ERROR", logging.CRITICAL: "CRITICAL"}
 
@@ -41,6 +42,7 @@ class RerunSink:
 
     Args:
         application_id: the viewer keeps its layout per application.
+        recording_id: files and streams with the same two ids are one recording; a new one by default.
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
@@ -51,6 +53,10 @@ class RerunSink:
         descriptor_every: log the float descriptors every so many frames; 0 is never.
         jpeg_quality: of all pictures, 1 to 100.
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
+        layer: the entity of somebody's recording below which `tracks` and `tails` go, and nothing else of the above: no
+            image, figures, name or layout, and no tracks beyond those shown but for the blueprint "full".
+        frame_timeline, time_timeline: names of the two timelines.
+        properties: what is known of the run, by name, as the property "airline" of the recording.
 
     Raises:
         InputError: the file cannot be written.
@@ -71,14 +77,20 @@ class RerunSink:
         descriptor_every: int = 30,
         jpeg_quality: int = 80,
         show_lost: bool = False,
+        recording_id: str | None = None,
+        layer: str | None = None,
+        frame_timeline: str = TIMELINES[0],
+        time_timeline: str = TIMELINES[1],
+        properties: Mapping[str, Any] | None = None,
     ) -> None:
         if save is None and connect is None:
             raise ConfigError("the Rerun sink has nowhere to log to: give it a file to save or a viewer to connect to")
-        if image == "video" and video is None:
+        if image == "video" and video is None and layer is None:
             raise ConfigError("to log the input as a video, name its file: use another kind of image otherwise")
-        self._image = image
-        self._video = VideoReferences(video) if image == "video" and video is not None else None
-        self._stages = self._video is None
+        self._layer = layer is not None
+        self._image: ImageMode = "none" if self._layer else image
+        self._video = VideoReferences(video) if self._image == "video" and video is not None else None
+        self._stages = self._video is None and not self._layer
         self._blueprint = blueprint
         self._every = every
         self._descriptor_every = descriptor_every if self._stages else 0
@@ -92,9 +104,15 @@ class RerunSink:
         self._size: Size | None = None
         self._space: Space | None = None
 
-        self._stream = open_stream(application_id, live=connect is not None)
-        self._clock = Clock(self._stream)
-        self._tracks = TrackLog(self._stream, show_lost=show_lost, tails=self._stages)
+        self._stream = open_stream(application_id, recording_id, live=connect is not None, layer=self._layer)
+        self._clock = Clock(self._stream, (frame_timeline, time_timeline))
+        self._tracks = TrackLog(
+            self._stream,
+            "/camera" if layer is None else f"/{layer.strip('/')}",
+            show_lost=show_lost,
+            tails=self._stages or self._layer,
+            rest=not self._layer or blueprint == "full",
+        )
         self._figures = FigureLog(self._stream)
         self._warnings = WarningLog(self.log)
         try:
@@ -105,7 +123,10 @@ class RerunSink:
         if not self._destination.alive:
             self.close()
             return
-        self._stream.send_recording_name(name or application_id)
+        if properties:
+            self._stream.send_property(PROPERTY, rr.AnyValues(**properties))
+        if not self._layer:
+            self._stream.send_recording_name(name or application_id)
         if self._stages:
             log_colours(self._stream)
         if self._video is not None:
@@ -136,7 +157,7 @@ class RerunSink:
 
     def log(self, text: str, level: str = "INFO") -> None:
         """Add a line to the log at the time of the latest frame; levels: CRITICAL, ERROR, WARN, INFO, DEBUG, TRACE."""
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._set_time()
             self._stream.log("/log", rr.TextLog(text, level=level))
 
@@ -181,7 +202,7 @@ class RerunSink:
 
     def _set_time(self) -> None:
         if self._now is None:
-            self._stream.set_time("frame", sequence=0)
+            self._clock.begin()
         else:
             self._clock.set(self._now.index, self._now.stamp_ns)
 
@@ -189,6 +210,9 @@ class RerunSink:
         """In the worker's thread, which has a time of its own."""
         frame, trace = result.frame, result.trace
         self._clock.set(frame.index, frame.stamp_ns)
+        if self._layer:
+            self._tracks.write(result.tracks, picture_size(result.tracks, frame.image))
+            return
         if frame.camera is not None and not self._has_camera:
             self._has_camera = True
             self._stream.log("/camera", pinhole(frame.camera), static=True)
@@ -215,6 +239,8 @@ class RerunSink:
         return self._space
 
     def _send_layout(self) -> None:
+        if self._layer:
+            return
         space, image = self._space is not None, self._image != "none"
         kind, size = self._blueprint, self._size
         send_blueprint(self._stream, layout(kind, size, image=image, stages=self._stages, space=space))

@@ -74,6 +74,19 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         "default"
     )
     show_lost: Annotated[bool, Meta(description="draw lost lines for as long as they are looked for")] = False
+    application_id: Annotated[str, Meta(min_length=1, description="Rerun's application id")] = "airline-frontend"
+    recording_id: Annotated[str, Meta(min_length=1, description="Rerun's recording id (default: a new one)")] | None = (
+        None
+    )
+    layer: (
+        Annotated[str, Meta(min_length=1, description="tracks alone, below this entity of somebody's recording")] | None
+    ) = None
+    frame_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' numbers")] = "frame"
+    time_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' times")] = "sensor_time"
+
+    def __post_init__(self) -> None:
+        if self.layer is not None and self.recording_id is None:
+            raise ConfigError("a layer belongs to somebody's recording: give its id with --recording-id")
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

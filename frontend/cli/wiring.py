@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,7 +150,12 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
 
 
 def open_recording(
-    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
+    save: Path | None,
+    viewer: str | None,
+    name: str,
+    config: RunConfig,
+    video: Path | None = None,
+    properties: Mapping[str, object] | None = None,
 ) -> Sink:
     """The Rerun recording, into a file, a viewer or both; frames are JPEGs unless `video` is the file of them."""
     from msgspec.structs import asdict
@@ -160,7 +165,7 @@ def open_recording(
     settings = asdict(config.recording)
     if settings["image"] == "video" and video is None:
         settings["image"] = "jpeg"
-    return RerunSink(save=save, connect=viewer, name=name, video=video, **settings)
+    return RerunSink(save=save, connect=viewer, name=name, video=video, properties=properties, **settings)
 
 
 def has_display() -> bool:
