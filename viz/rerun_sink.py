@@ -24,7 +24,7 @@ from viz.figures import TIMELINES, Clock, FigureLog, track_figures
 from viz.lines import Size, Space, TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
-from viz.video import VideoReferences
+from viz.video import VideoPackets, VideoReferences
 
 WAITING = 4  # frames that may wait to be logged
 PROPERTY = "airline"  # under which the facts of a run are found in a catalog
@@ -47,7 +47,7 @@ class RerunSink:
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
         image: how the camera's image is logged; "video" logs the input file once, without stages and tails.
-        video: that file.
+        video: that file, or the packets of a log's video.
         blueprint: how the viewer lays it out.
         every: log every so many frames; resets and warnings are always logged.
         descriptor_every: log the float descriptors every so many frames; 0 is never.
@@ -71,7 +71,7 @@ class RerunSink:
         connect: str | None = None,
         name: str | None = None,
         image: ImageMode = "jpeg",
-        video: Path | None = None,
+        video: Path | VideoPackets | None = None,
         blueprint: Kind = "default",
         every: int = 1,
         descriptor_every: int = 30,
@@ -89,7 +89,9 @@ class RerunSink:
             raise ConfigError("to log the input as a video, name its file: use another kind of image otherwise")
         self._layer = layer is not None
         self._image: ImageMode = "none" if self._layer else image
-        self._video = VideoReferences(video) if self._image == "video" and video is not None else None
+        self._video: VideoReferences | VideoPackets | None = None
+        if self._image == "video":
+            self._video = video if isinstance(video, VideoPackets) else VideoReferences(Path(video or ""))
         self._stages = self._video is None and not self._layer
         self._blueprint = blueprint
         self._every = every
@@ -209,6 +211,8 @@ class RerunSink:
     def _log_frame(self, result: FrameResult, descriptor: bool) -> None:
         """In the worker's thread, which has a time of its own."""
         frame, trace = result.frame, result.trace
+        if self._video is not None:
+            self._video.log(self._stream, self._clock, frame)
         self._clock.set(frame.index, frame.stamp_ns)
         if self._layer:
             self._tracks.write(result.tracks, picture_size(result.tracks, frame.image))
@@ -216,9 +220,7 @@ class RerunSink:
         if frame.camera is not None and not self._has_camera:
             self._has_camera = True
             self._stream.log("/camera", pinhole(frame.camera), static=True)
-        if self._video is not None:
-            self._video.log(self._stream, frame)
-        elif self._image == "jpeg":
+        if self._image == "jpeg":
             self._stream.log("/camera/image", jpeg(to_uint8(frame.image), self._jpeg_quality))
         elif self._image == "raw":
             self._stream.log("/camera/image", rr.Image(frame.image, "L" if frame.image.ndim == 2 else "BGR"))
