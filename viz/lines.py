@@ -9,9 +9,9 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
+from frontend.space import checked_lines, checked_pose
 from frontend.tracking.selection import Selection
 from frontend.tracks import LineTracks
 from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
@@ -207,10 +207,7 @@ class Space:
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
         """Log a (4, 4) rigid motion; InputError where it is none."""
-        pose = np.asarray(world_T_camera, np.float64)
-        rigid = pose.shape == (4, 4) and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
-        if not rigid or not np.isfinite(pose).all():
-            raise InputError("a pose must be a (4, 4) matrix of rotation and translation, from camera to world")
+        pose = checked_pose(world_T_camera)
         place = pose[:3, 3].astype(np.float32)
         self._stream.log("/camera", rr.Transform3D(translation=place, mat3x3=pose[:3, :3]))
         step = strips_3d(np.stack([place if self._before is None else self._before, place])[None])
@@ -219,8 +216,6 @@ class Space:
 
     def log_lines(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
         """Log (N, 2, 3) lines in the colours of their tracks; InputError where they do not fit to N ids."""
-        lines = np.asarray(segments, np.float32)
-        if lines.shape != (len(ids), 2, 3):
-            raise InputError(f"lines in space must be (N, 2, 3) with N ids, not {lines.shape} with {len(ids)} ids")
-        strips = rr.LineStrips3D(strips_3d(lines), colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(1.5))
-        self._stream.log("/world/lines", strips, rr.AnyValues(track_id=ids))
+        strips = strips_3d(checked_lines(segments, ids))
+        lines = rr.LineStrips3D(strips, colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(1.5))
+        self._stream.log("/world/lines", lines, rr.AnyValues(track_id=ids))
