@@ -55,6 +55,7 @@ class RerunSink:
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
         layer: the entity of somebody's recording below which `tracks` and `tails` go, and nothing else of the above: no
             image, figures, name or layout, and no tracks beyond those shown but for the blueprint "full".
+        coordinate_frame: of the image that a layer lies on, where Rerun knows it by a name, as it does for logs.
         frame_timeline, time_timeline: names of the two timelines.
         properties: what is known of the run, by name, as the property "airline" of the recording.
 
@@ -79,6 +80,7 @@ class RerunSink:
         show_lost: bool = False,
         recording_id: str | None = None,
         layer: str | None = None,
+        coordinate_frame: str | None = None,
         frame_timeline: str = TIMELINES[0],
         time_timeline: str = TIMELINES[1],
         properties: Mapping[str, Any] | None = None,
@@ -108,9 +110,10 @@ class RerunSink:
 
         self._stream = open_stream(application_id, recording_id, live=connect is not None, layer=self._layer)
         self._clock = Clock(self._stream, (frame_timeline, time_timeline))
+        root = "/camera" if layer is None else f"/{layer.strip('/')}"
         self._tracks = TrackLog(
             self._stream,
-            "/camera" if layer is None else f"/{layer.strip('/')}",
+            root,
             show_lost=show_lost,
             tails=self._stages or self._layer,
             rest=not self._layer or blueprint == "full",
@@ -127,6 +130,9 @@ class RerunSink:
             return
         if properties:
             self._stream.send_property(PROPERTY, rr.AnyValues(**properties))
+        if coordinate_frame is not None:
+            for name in ("tracks", "tracks/rest", "tracks/lost", "tails"):
+                self._stream.log(f"{root}/{name}", rr.CoordinateFrame(coordinate_frame), static=True)
         if not self._layer:
             self._stream.send_recording_name(name or application_id)
         if self._stages:

@@ -37,6 +37,7 @@ FLAGS = {
         "--recording-id ID": "recording.recording_id",
         "--application-id ID": "recording.application_id",
         "--layer ENTITY": "recording.layer",
+        "--coordinate-frame NAME": "recording.coordinate_frame",
         "--frame-timeline NAME": "recording.frame_timeline",
         "--time-timeline NAME": "recording.time_timeline",
     },

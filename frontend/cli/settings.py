@@ -65,7 +65,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     image: Annotated[
         Literal["jpeg", "raw", "video", "none"],
-        Meta(description="how images are recorded; video: the input file once, and no stages of the detector"),
+        Meta(description="how images are recorded; video: the input's own as it is, and no stages of the detector"),
     ] = "jpeg"
     jpeg_quality: Annotated[int, Meta(ge=1, le=100, description="of all pictures, 1 to 100")] = 80
     every: Annotated[int, Meta(ge=1, description="record every N-th frame")] = 1
@@ -80,6 +80,9 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     )
     layer: (
         Annotated[str, Meta(min_length=1, description="tracks alone, below this entity of somebody's recording")] | None
+    ) = None
+    coordinate_frame: (
+        Annotated[str, Meta(min_length=1, description="that of the image below a layer, where it has a name")] | None
     ) = None
     frame_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' numbers")] = "frame"
     time_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' times")] = "sensor_time"
