@@ -54,7 +54,7 @@ class RerunSink:
         jpeg_quality: of all pictures, 1 to 100.
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
         layer: the entity of somebody's recording below which `tracks` and `tails` go, and nothing else of the above: no
-            image, figures, name or layout, and no tracks beyond those shown but for the blueprint "full".
+            image, figures, log, poses, name or layout, and no tracks beyond those shown but for the blueprint "full".
         coordinate_frame: of the image that a layer lies on, where Rerun knows it by a name, as it does for logs.
         frame_timeline, time_timeline: names of the two timelines.
         properties: what is known of the run, by name, as the property "airline" of the recording.
@@ -179,7 +179,7 @@ class RerunSink:
         Raises:
             InputError: it is no rigid motion.
         """
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._in_space().log_pose(world_T_camera)
 
     def log_lines_3d(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
@@ -188,7 +188,7 @@ class RerunSink:
         Raises:
             InputError: the two do not fit together.
         """
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._in_space().log_lines(segments, ids)
 
     def close(self) -> None:
@@ -205,6 +205,8 @@ class RerunSink:
                 waiting.result()
         finally:
             self._worker.shutdown(cancel_futures=True)
+            if isinstance(self._video, VideoPackets):
+                self._video.close()
             self._warnings.close()
             self._destination.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,10 +65,10 @@ class VideoPackets:
     Args:
         codec: "h264", "h265", "vp9" or "av1".
         packets: frame numbers, stamps (ns) and data in ascending order, the first a key frame; H.264 and H.265 in
-            Annex B, without pictures that are shown in another order.
+            Annex B, without pictures that are shown in another order. Closed when the recording is.
     """
 
-    def __init__(self, codec: str, packets: Iterator[tuple[int, int, bytes]]) -> None:
+    def __init__(self, codec: str, packets: Generator[tuple[int, int, bytes]]) -> None:
         self._codec = rr.VideoCodec.auto(codec)
         self._packets = packets
         self._next = next(packets, None)
@@ -84,6 +84,10 @@ class VideoPackets:
             clock.set(number, frame.stamp_ns if number == frame.index else min(stamp_ns, frame.stamp_ns))
             stream.log("/camera/image", rr.VideoStream.from_fields(sample=np.frombuffer(data, np.uint8)))
             self._next = next(self._packets, None)
+
+    def close(self) -> None:
+        """Let go of the log; safe to call twice."""
+        self._packets.close()
 
 
 def _examined(path: Path) -> tuple[str, tuple[int, int], int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -177,7 +177,7 @@ def _packets_of(log: str, config: RunConfig) -> VideoPackets:
         source.close()
         raise ConfigError(f"--log-image video cannot take the packets of {log}: {why}; use --log-image jpeg")
 
-    def found() -> Iterator[tuple[int, int, bytes]]:
+    def found() -> Generator[tuple[int, int, bytes]]:
         with closing(source):
             for number, stamp_ns, packet in chain(first, packets):
                 yield number, stamp_ns, bytes(packet.data)
