@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:
     """Run the pipeline until the input ends or Ctrl-C, print and write the summary; returns the exit code."""
-    from frontend.cli.info import introduce
+    from frontend.cli.info import introduce, properties
 
     video = wiring.video_to_log(options.input, config)
     track_files = wiring.track_files(options.out, overwrite=options.overwrite)
@@ -104,7 +104,8 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                         stride=stride,
                     )
                 if save is not None or viewer is not None:
-                    yield wiring.open_recording(save, viewer, source.name, config, None if turned else video)
+                    facts = properties(options.input, source, first, config, notes)
+                    yield wiring.open_recording(save, viewer, source.name, config, None if turned else video, facts)
 
             code, summary = process(source, config, sinks)
         for note in summary.notes[said:]:

@@ -7,7 +7,7 @@ import os
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
@@ -26,7 +26,16 @@ from logs.files import LogFile, LogMessage, TopicType
 from logs.files.mcap_file import McapFile
 from logs.images.decoder import ImageDecoder, decode_still
 from logs.messages.readers import check_seen, read_message
-from logs.messages.types import BAYER, CameraInfo, EncodedImage, RawImage, VideoPacket, container, is_key_frame
+from logs.messages.types import (
+    BAYER,
+    CameraInfo,
+    EncodedImage,
+    RawImage,
+    VideoPacket,
+    container,
+    has_picture,
+    is_key_frame,
+)
 from logs.order import WINDOW, Entry, Picture, StampOrder
 from logs.stamps import StampClock, TimeSource, own_stamp, wanted_time
 from logs.topics import choose_seen, image_topics, mean_rate_hz, printable
@@ -161,6 +170,25 @@ class LogImageSource(Source):
 
     def close(self) -> None:
         self._file.close()
+
+    def packets(self) -> Iterator[tuple[int, int, VideoPacket]]:
+        """Numbers, stamps (ns) and packets of a video in place of frames, from a key frame at or before the start.
+
+        There is one for each picture, with the stamp of its message. Ends where a message is no video.
+        """
+        start_ns, number = self._landing(StampClock(self.name, self._time_source)) if self._start_ns else (None, 0)
+        parameters, begun = b"", False
+        for position, message, record in self._ordered(start_ns, number):
+            if not isinstance(record, VideoPacket):
+                return
+            if not has_picture(record):
+                parameters += record.data  # of their own message
+                continue
+            packet = replace(record, data=parameters + bytes(record.data))
+            parameters, begun = b"", begun or is_key_frame(packet)
+            if begun:
+                with suppress(UndecodableError):
+                    yield position, own_stamp(self._time_source, record.stamp_ns, message), packet
 
     def _images(self) -> Iterator[tuple[int, int, Image]]:
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""

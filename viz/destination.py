@@ -26,8 +26,12 @@ CONNECT_S = 2.0
 log = logging.getLogger(__name__)
 
 
-def open_stream(application_id: str, *, live: bool) -> rr.RecordingStream:
+def open_stream(
+    application_id: str, recording_id: str | None = None, *, live: bool, layer: bool = False
+) -> rr.RecordingStream:
     """A stream that is not connected to anything yet, without the two timelines of Rerun's that nobody asked for.
+
+    A `layer` says nothing of the recording that it belongs to, such as when that began.
 
     Rows of like data wait for each other until they are pushed out, which makes a file smaller; for a viewer, `live`,
     they wait shorter.
@@ -36,7 +40,9 @@ def open_stream(application_id: str, *, live: bool) -> rr.RecordingStream:
     batches = rr.ChunkBatcherConfig.DEFAULT()
     batches.flush_tick = 0.1 if live else 2 * BEAT_S
     batches.flush_num_bytes = CHUNK
-    stream = rr.RecordingStream(application_id, batcher_config=batches)
+    stream = rr.RecordingStream(
+        application_id, recording_id=recording_id, send_properties=not layer, batcher_config=batches
+    )
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     return stream

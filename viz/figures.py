@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from frontend.tracks import LineTracks
 
+TIMELINES = "frame", "sensor_time"
 YEAR_2000_NS = 946_684_800_000_000_000  # stamps from then on are dates
 COLOURS = {  # of curves, RGB, in the order of the legend, which may have no place for the last ones
     "tracks": (120, 150, 255),
@@ -29,21 +30,26 @@ OTHER = (200, 200, 255)  # what is alone in its plot, and stages that somebody e
 
 
 class Clock:
-    """The timelines `frame` and `sensor_time`: a date where the first stamp counts since 1970, else a duration."""
+    """The timelines of frames and of times: dates where the first stamp counts since 1970, else durations."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: rr.RecordingStream, names: tuple[str, str] = TIMELINES) -> None:
         self._stream = stream
+        self._frame, self._time = names
         self._dated: bool | None = None  # a timeline cannot change its type within a recording
+
+    def begin(self) -> None:
+        """What this thread logs belongs to the beginning: no frame has come yet."""
+        self._stream.set_time(self._frame, sequence=0)
 
     def set(self, frame: int, stamp_ns: int) -> None:
         """What this thread logs from now on belongs to that frame."""
         if self._dated is None:
             self._dated = stamp_ns >= YEAR_2000_NS
-        self._stream.set_time("frame", sequence=frame)
+        self._stream.set_time(self._frame, sequence=frame)
         if self._dated:
-            self._stream.set_time("sensor_time", timestamp=np.datetime64(stamp_ns, "ns"))
+            self._stream.set_time(self._time, timestamp=np.datetime64(stamp_ns, "ns"))
         else:
-            self._stream.set_time("sensor_time", duration=np.timedelta64(stamp_ns, "ns"))
+            self._stream.set_time(self._time, duration=np.timedelta64(stamp_ns, "ns"))
 
 
 class FigureLog:

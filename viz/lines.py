@@ -9,9 +9,9 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from airline.errors import InputError
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
+from frontend.space import checked_lines, checked_pose
 from frontend.tracking.selection import Selection
 from frontend.tracks import LineTracks
 from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
@@ -39,12 +39,24 @@ class TrackLog:
 
     Args:
         stream: where to log to.
+        root: the entity above all these, in place of `/camera`.
         show_lost: draw lost lines for as long as they are looked for.
         tails: log tails.
+        rest: log `rest` and `lost`.
     """
 
-    def __init__(self, stream: rr.RecordingStream, *, show_lost: bool = False, tails: bool = True) -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        root: str = "/camera",
+        *,
+        show_lost: bool = False,
+        tails: bool = True,
+        rest: bool = True,
+    ) -> None:
         self._stream = stream
+        self._root = root
+        self._rest = rest
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
         self._shown, self._bold = Selection(SHOWN_LINES), Selection(BOLD_LINES)
@@ -54,18 +66,20 @@ class TrackLog:
         scale = picture_scale(size)
         shown = self._shown.of(tracks.take(tracks.confirmed), size)
         bold = self._bold.of(shown, size)
-        rest = tracks.take(~np.isin(tracks.ids, shown.ids))
         radii = scale * np.where(np.isin(shown.ids, bold.ids), BOLD_RADIUS, THIN_RADIUS)
-        self._log_seen("/camera/tracks", shown, radii)
-        self._log_seen("/camera/tracks/rest", rest, scale * THIN_RADIUS)
-        recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
-        ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
-        grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
-        log_lines(self._stream, "/camera/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
+        self._log_seen(f"{self._root}/tracks", shown, radii)
+        if self._rest:
+            rest = tracks.take(~np.isin(tracks.ids, shown.ids))
+            self._log_seen(f"{self._root}/tracks/rest", rest, scale * THIN_RADIUS)
+            recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
+            ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
+            grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
+            log_lines(self._stream, f"{self._root}/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
         if self._tails is not None:
             ids, points, lengths = self._tails.add(tracks, bold.ids, scale * TAIL_LENGTH)
             dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
-            self._stream.log("/camera/tails", _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS))
+            strips = _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS)
+            self._stream.log(f"{self._root}/tails", strips)
 
     def _log_seen(self, entity: str, tracks: LineTracks, radii: NDArray[np.float64] | float) -> None:
         colours = track_colours(tracks.ids)
@@ -193,10 +207,7 @@ class Space:
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
         """Log a (4, 4) rigid motion; InputError where it is none."""
-        pose = np.asarray(world_T_camera, np.float64)
-        rigid = pose.shape == (4, 4) and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3)
-        if not rigid or not np.isfinite(pose).all():
-            raise InputError("a pose must be a (4, 4) matrix of rotation and translation, from camera to world")
+        pose = checked_pose(world_T_camera)
         place = pose[:3, 3].astype(np.float32)
         self._stream.log("/camera", rr.Transform3D(translation=place, mat3x3=pose[:3, :3]))
         step = strips_3d(np.stack([place if self._before is None else self._before, place])[None])
@@ -205,8 +216,6 @@ class Space:
 
     def log_lines(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
         """Log (N, 2, 3) lines in the colours of their tracks; InputError where they do not fit to N ids."""
-        lines = np.asarray(segments, np.float32)
-        if lines.shape != (len(ids), 2, 3):
-            raise InputError(f"lines in space must be (N, 2, 3) with N ids, not {lines.shape} with {len(ids)} ids")
-        strips = rr.LineStrips3D(strips_3d(lines), colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(1.5))
-        self._stream.log("/world/lines", strips, rr.AnyValues(track_id=ids))
+        strips = strips_3d(checked_lines(segments, ids))
+        lines = rr.LineStrips3D(strips, colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(1.5))
+        self._stream.log("/world/lines", lines, rr.AnyValues(track_id=ids))

@@ -22,6 +22,7 @@ ROOTS = (("/camera",), ("/a", "/b"))  # of a run, and of a comparison of two
 LAYERS = ("tails", "unmatched", "tracks")  # below each root, the lowest first; what the default layout shows
 BACKGROUND = 30  # grey level where a recording has no images
 WIDE_POINTS = 4 / 3  # pixels of line width per point of the screen, which radii below 0 are in
+CODECS = {b"avc1": "h264", b"hev1": "hevc", b"vp09": "vp9", b"av01": "libdav1d"}  # FFmpeg's, by Rerun's names
 CHANNELS = {1: 1, 4: 3}  # of the colour models that the sink writes, by Rerun's numbers: L and BGR
 
 Picture = NDArray[np.uint8]
@@ -112,8 +113,7 @@ class Recording:
         for frame in self.indices:
             if (start is not None and frame < start) or (end is not None and frame > end):
                 continue
-            row = images.at(frame)
-            if row is not None:
+            for row in images.up_to(frame):
                 self._images.take(*row)
             panels = [
                 [_strips(*row) for row in (c.at(frame) for c in cursors) if row is not None] for cursors in layers
@@ -160,20 +160,26 @@ class _Cursor:
         self._next = next(rows, None)
 
     def at(self, frame: int) -> tuple[Any, int] | None:
-        while self._next is not None and self._next[0] <= frame:
-            self._latest = self._next[1:]
-            self._next = next(self._rows, None)
+        for row in self.up_to(frame):
+            self._latest = row
         return self._latest
+
+    def up_to(self, frame: int) -> Iterator[tuple[Any, int]]:
+        """All rows that are new since the last call."""
+        while self._next is not None and self._next[0] <= frame:
+            yield self._next[1:]
+            self._next = next(self._rows, None)
 
 
 class _Images:
-    """The image of the row that was taken last, in whatever form it was logged: JPEG, raw pixels or a video's frame."""
+    """The image of the row that was taken last, in whatever form: JPEG, raw pixels, a video's frame or its packet."""
 
     def __init__(self) -> None:
         self._row: tuple[Any, int] | None = None
         self._video: Iterator[Any] = iter(())
         self._shown: Any = None
         self._next: Any = None
+        self._decoder: Any = None
 
     def take(self, rows: Any, k: int) -> None:
         if "AssetVideo:blob" in rows.schema.names:
@@ -181,6 +187,17 @@ class _Images:
 
             self._video = av.open(io.BytesIO(_bytes(rows, k, "AssetVideo:blob")), "r").decode(video=0)
             self._shown = self._next = next(self._video, None)
+        elif "VideoStream:codec" in rows.schema.names:
+            from av import CodecContext
+
+            fourcc = rows.column("VideoStream:codec")[k].values[0].as_py()
+            self._decoder = CodecContext.create(CODECS[fourcc.to_bytes(4, "big")], "r")
+        elif "VideoStream:sample" in rows.schema.names:
+            from av import Packet
+
+            for frame in self._decoder.decode(Packet(_bytes(rows, k, "VideoStream:sample"))):
+                self._shown = frame
+            self._row = rows, k
         else:
             self._row = rows, k
 
@@ -198,6 +215,8 @@ class _Images:
             data = _bytes(rows, k, "Image:buffer")
             pixels = np.frombuffer(data, np.uint8 if len(data) == np.prod(shape) else np.uint16).reshape(shape)
             image = np.repeat(to_uint8(pixels), 3 // shape[2], axis=2)
+        elif "VideoStream:sample" in rows.schema.names:
+            image = None if self._shown is None else self._shown.to_ndarray(format="bgr24")
         elif self._next is not None or self._shown is not None:
             time_ns = rows.column("VideoFrameReference:timestamp")[k].as_py()[0]
             while self._next is not None and round((self._next.time or 0) * 1e9) <= time_ns + 500:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -20,13 +20,14 @@ from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from viz.blueprint import Kind, layout
 from viz.destination import Destination, open_stream
-from viz.figures import Clock, FigureLog, track_figures
+from viz.figures import TIMELINES, Clock, FigureLog, track_figures
 from viz.lines import Size, Space, TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
-from viz.video import VideoReferences
+from viz.video import VideoPackets, VideoReferences
 
 WAITING = 4  # frames that may wait to be logged
+PROPERTY = "airline"  # under which the facts of a run are found in a catalog
 PACKAGES = ("airline", "frontend", "logs", "viz")
 LEVELS = {logging.WARNING: "WARN", logging.ERROR: "ERROR", logging.CRITICAL: "CRITICAL"}
 
@@ -41,16 +42,22 @@ class RerunSink:
 
     Args:
         application_id: the viewer keeps its layout per application.
+        recording_id: files and streams with the same two ids are one recording; a new one by default.
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
         image: how the camera's image is logged; "video" logs the input file once, without stages and tails.
-        video: that file.
+        video: that file, or the packets of a log's video.
         blueprint: how the viewer lays it out.
         every: log every so many frames; resets and warnings are always logged.
         descriptor_every: log the float descriptors every so many frames; 0 is never.
         jpeg_quality: of all pictures, 1 to 100.
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
+        layer: the entity of somebody's recording below which `tracks` and `tails` go, and nothing else of the above: no
+            image, figures, log, poses, name or layout, and no tracks beyond those shown but for the blueprint "full".
+        coordinate_frame: of the image that a layer lies on, where Rerun knows it by a name, as it does for logs.
+        frame_timeline, time_timeline: names of the two timelines.
+        properties: what is known of the run, by name, as the property "airline" of the recording.
 
     Raises:
         InputError: the file cannot be written.
@@ -65,20 +72,29 @@ class RerunSink:
         connect: str | None = None,
         name: str | None = None,
         image: ImageMode = "jpeg",
-        video: Path | None = None,
+        video: Path | VideoPackets | None = None,
         blueprint: Kind = "default",
         every: int = 1,
         descriptor_every: int = 30,
         jpeg_quality: int = 80,
         show_lost: bool = False,
+        recording_id: str | None = None,
+        layer: str | None = None,
+        coordinate_frame: str | None = None,
+        frame_timeline: str = TIMELINES[0],
+        time_timeline: str = TIMELINES[1],
+        properties: Mapping[str, Any] | None = None,
     ) -> None:
         if save is None and connect is None:
             raise ConfigError("the Rerun sink has nowhere to log to: give it a file to save or a viewer to connect to")
-        if image == "video" and video is None:
+        if image == "video" and video is None and layer is None:
             raise ConfigError("to log the input as a video, name its file: use another kind of image otherwise")
-        self._image = image
-        self._video = VideoReferences(video) if image == "video" and video is not None else None
-        self._stages = self._video is None
+        self._layer = layer is not None
+        self._image: ImageMode = "none" if self._layer else image
+        self._video: VideoReferences | VideoPackets | None = None
+        if self._image == "video":
+            self._video = video if isinstance(video, VideoPackets) else VideoReferences(Path(video or ""))
+        self._stages = self._video is None and not self._layer
         self._blueprint = blueprint
         self._every = every
         self._descriptor_every = descriptor_every if self._stages else 0
@@ -92,9 +108,16 @@ class RerunSink:
         self._size: Size | None = None
         self._space: Space | None = None
 
-        self._stream = open_stream(application_id, live=connect is not None)
-        self._clock = Clock(self._stream)
-        self._tracks = TrackLog(self._stream, show_lost=show_lost, tails=self._stages)
+        self._stream = open_stream(application_id, recording_id, live=connect is not None, layer=self._layer)
+        self._clock = Clock(self._stream, (frame_timeline, time_timeline))
+        root = "/camera" if layer is None else f"/{layer.strip('/')}"
+        self._tracks = TrackLog(
+            self._stream,
+            root,
+            show_lost=show_lost,
+            tails=self._stages or self._layer,
+            rest=not self._layer or blueprint == "full",
+        )
         self._figures = FigureLog(self._stream)
         self._warnings = WarningLog(self.log)
         try:
@@ -105,7 +128,13 @@ class RerunSink:
         if not self._destination.alive:
             self.close()
             return
-        self._stream.send_recording_name(name or application_id)
+        if properties:
+            self._stream.send_property(PROPERTY, rr.AnyValues(**properties))
+        if coordinate_frame is not None:
+            for name in ("tracks", "tracks/rest", "tracks/lost", "tails"):
+                self._stream.log(f"{root}/{name}", rr.CoordinateFrame(coordinate_frame), static=True)
+        if not self._layer:
+            self._stream.send_recording_name(name or application_id)
         if self._stages:
             log_colours(self._stream)
         if self._video is not None:
@@ -136,7 +165,7 @@ class RerunSink:
 
     def log(self, text: str, level: str = "INFO") -> None:
         """Add a line to the log at the time of the latest frame; levels: CRITICAL, ERROR, WARN, INFO, DEBUG, TRACE."""
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._set_time()
             self._stream.log("/log", rr.TextLog(text, level=level))
 
@@ -150,7 +179,7 @@ class RerunSink:
         Raises:
             InputError: it is no rigid motion.
         """
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._in_space().log_pose(world_T_camera)
 
     def log_lines_3d(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
@@ -159,7 +188,7 @@ class RerunSink:
         Raises:
             InputError: the two do not fit together.
         """
-        if not self._closed:
+        if not self._closed and not self._layer:
             self._in_space().log_lines(segments, ids)
 
     def close(self) -> None:
@@ -176,25 +205,30 @@ class RerunSink:
                 waiting.result()
         finally:
             self._worker.shutdown(cancel_futures=True)
+            if isinstance(self._video, VideoPackets):
+                self._video.close()
             self._warnings.close()
             self._destination.close()
 
     def _set_time(self) -> None:
         if self._now is None:
-            self._stream.set_time("frame", sequence=0)
+            self._clock.begin()
         else:
             self._clock.set(self._now.index, self._now.stamp_ns)
 
     def _log_frame(self, result: FrameResult, descriptor: bool) -> None:
         """In the worker's thread, which has a time of its own."""
         frame, trace = result.frame, result.trace
+        if self._video is not None:
+            self._video.log(self._stream, self._clock, frame)
         self._clock.set(frame.index, frame.stamp_ns)
+        if self._layer:
+            self._tracks.write(result.tracks, picture_size(result.tracks, frame.image))
+            return
         if frame.camera is not None and not self._has_camera:
             self._has_camera = True
             self._stream.log("/camera", pinhole(frame.camera), static=True)
-        if self._video is not None:
-            self._video.log(self._stream, frame)
-        elif self._image == "jpeg":
+        if self._image == "jpeg":
             self._stream.log("/camera/image", jpeg(to_uint8(frame.image), self._jpeg_quality))
         elif self._image == "raw":
             self._stream.log("/camera/image", rr.Image(frame.image, "L" if frame.image.ndim == 2 else "BGR"))
@@ -215,6 +249,8 @@ class RerunSink:
         return self._space
 
     def _send_layout(self) -> None:
+        if self._layer:
+            return
         space, image = self._space is not None, self._image != "none"
         kind, size = self._blueprint, self._size
         send_blueprint(self._stream, layout(kind, size, image=image, stages=self._stages, space=space))

@@ -1,9 +1,9 @@
-"""The camera's image as a reference into the video file it came from, which the recording carries once."""
+"""The camera's image as a reference into the video file it came from, or as a log's packets; nothing is encoded."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ import rerun as rr
 
 from airline.errors import ConfigError
 from frontend.frame import Frame
+from viz.figures import Clock
 
 if TYPE_CHECKING:
     from av import Packet
@@ -48,13 +49,45 @@ class VideoReferences:
         """Log the file itself, once."""
         stream.log("/camera/image", self._asset, static=True)
 
-    def log(self, stream: rr.RecordingStream, frame: Frame) -> None:
+    def log(self, stream: rr.RecordingStream, clock: Clock, frame: Frame) -> None:
         """Refer to the picture nearest in time to the frame; ConfigError where the frame has another size."""
         if (frame.image.shape[1], frame.image.shape[0]) != self._size:
             raise ConfigError(f"{self._path} cannot stand for frames of another size: {OTHERWISE}")
         wanted = self._stamps[0] + frame.stamp_ns  # a frame's time counts from the first picture
+        clock.set(frame.index, frame.stamp_ns)
         nearest = self._stamps[np.argmin(np.abs(self._stamps - wanted))]
         stream.log("/camera/image", rr.VideoFrameReference(nanoseconds=int(nearest)))
+
+
+class VideoPackets:
+    """Logs the packets of a video as they are, one for each picture, with what a decoder needs between frames.
+
+    Args:
+        codec: "h264", "h265", "vp9" or "av1".
+        packets: frame numbers, stamps (ns) and data in ascending order, the first a key frame; H.264 and H.265 in
+            Annex B, without pictures that are shown in another order. Closed when the recording is.
+    """
+
+    def __init__(self, codec: str, packets: Generator[tuple[int, int, bytes]]) -> None:
+        self._codec = rr.VideoCodec.auto(codec)
+        self._packets = packets
+        self._next = next(packets, None)
+
+    def start(self, stream: rr.RecordingStream) -> None:
+        """Log the codec, once."""
+        stream.log("/camera/image", rr.VideoStream(self._codec), static=True)
+
+    def log(self, stream: rr.RecordingStream, clock: Clock, frame: Frame) -> None:
+        """Log the packets up to the frame's, each at its own frame and time."""
+        while self._next is not None and self._next[0] <= frame.index:
+            number, stamp_ns, data = self._next
+            clock.set(number, frame.stamp_ns if number == frame.index else min(stamp_ns, frame.stamp_ns))
+            stream.log("/camera/image", rr.VideoStream.from_fields(sample=np.frombuffer(data, np.uint8)))
+            self._next = next(self._packets, None)
+
+    def close(self) -> None:
+        """Let go of the log; safe to call twice."""
+        self._packets.close()
 
 
 def _examined(path: Path) -> tuple[str, tuple[int, int], int]:

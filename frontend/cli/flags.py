@@ -34,6 +34,12 @@ FLAGS = {
         "--log-every N": "recording.every",
         "--log-descriptor-every K": "recording.descriptor_every",
         "--show-lost": "recording.show_lost",
+        "--recording-id ID": "recording.recording_id",
+        "--application-id ID": "recording.application_id",
+        "--layer ENTITY": "recording.layer",
+        "--coordinate-frame NAME": "recording.coordinate_frame",
+        "--frame-timeline NAME": "recording.frame_timeline",
+        "--time-timeline NAME": "recording.time_timeline",
     },
     "frames": {
         "--start S": "input.start",

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
+from airline import __version__
 from airline.errors import InputError
-from frontend.cli.settings import NO_CALIBRATION
+from airline.network.weights import sha256_of
+from frontend.cli.settings import NO_CALIBRATION, RunConfig, dump
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.kinds import without_password
 from frontend.sources.wrapped import Peeked
+
+Properties = dict[str, str | list[str] | list[int] | list[float]]
 
 _DATES_NS = 631_152_000 * 10**9, 4_102_444_800 * 10**9  # 1990 and 2100: between them a time is since 1970
 
@@ -56,6 +61,30 @@ def introduce(source: Source, first: Frame, notes: Sequence[str], results: Seque
     else:
         calibration = f"{source.calibration}{f'; --calib {NO_CALIBRATION} leaves it out' if found else ''}"
     return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, notes, results)
+
+
+def properties(spec: str | None, source: Source, first: Frame, config: RunConfig, notes: Sequence[str]) -> Properties:
+    """The facts of a run that recordings are chosen by, by name; those that nobody knows are missing."""
+    height, width = first.image.shape[:2]
+    facts: Properties = {
+        "version": __version__,
+        "input": "built-in clip" if spec is None else without_password(spec),
+        "kind": source.kind,
+        "size": [width, height],
+        "calibration": source.calibration or ("none" if first.camera is None else "the input's own"),
+        "preset": config.preset,
+        "weights": config.detector.edges.weights,
+        "weights_sha256": sha256_of(config.detector.edges.weights),
+        "settings": dump(config),
+    }
+    if notes:
+        facts["notes"] = list(notes)
+    if (camera := first.camera) is not None:
+        facts["camera"] = [camera.fx, camera.fy, camera.cx, camera.cy]
+        facts["distortion"] = camera.distortion
+        if len(camera.coefficients):
+            facts["distortion_coefficients"] = camera.coefficients.tolist()
+    return facts
 
 
 def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:

@@ -65,7 +65,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     image: Annotated[
         Literal["jpeg", "raw", "video", "none"],
-        Meta(description="how images are recorded; video: the input file once, and no stages of the detector"),
+        Meta(description="how images are recorded; video: the input's own as it is, and no stages of the detector"),
     ] = "jpeg"
     jpeg_quality: Annotated[int, Meta(ge=1, le=100, description="of all pictures, 1 to 100")] = 80
     every: Annotated[int, Meta(ge=1, description="record every N-th frame")] = 1
@@ -74,6 +74,22 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         "default"
     )
     show_lost: Annotated[bool, Meta(description="draw lost lines for as long as they are looked for")] = False
+    application_id: Annotated[str, Meta(min_length=1, description="Rerun's application id")] = "airline-frontend"
+    recording_id: Annotated[str, Meta(min_length=1, description="Rerun's recording id (default: a new one)")] | None = (
+        None
+    )
+    layer: (
+        Annotated[str, Meta(min_length=1, description="tracks alone, below this entity of somebody's recording")] | None
+    ) = None
+    coordinate_frame: (
+        Annotated[str, Meta(min_length=1, description="that of the image below a layer, where it has a name")] | None
+    ) = None
+    frame_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' numbers")] = "frame"
+    time_timeline: Annotated[str, Meta(min_length=1, description="timeline of the frames' times")] = "sensor_time"
+
+    def __post_init__(self) -> None:
+        if self.layer is not None and self.recording_id is None:
+            raise ConfigError("a layer belongs to somebody's recording: give its id with --recording-id")
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from frontend.tracks import LineTracks
     from logs.sinks.foxglove import FoxgloveServer
     from logs.sinks.zeromq import ZmqPublisher
+    from viz.video import VideoPackets
     from viz.viewer import WebViewer
+
+PROBED = 32  # packets of a video in which B-frames are looked for
 
 log = logging.getLogger(__name__)
 
@@ -130,11 +133,12 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
     return open_publisher(address, name, labels=labels, stride=stride)
 
 
-def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
-    """The input's file if it stands for the frames in the recording."""
+def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | None:
+    """The input's file, or a log's packets, if they stand for the frames in the recording."""
     from frontend.sources import kinds
+    from logs.files import is_log
 
-    if config.recording.image != "video":
+    if config.recording.image != "video" or config.recording.layer is not None:
         return None
     if config.input.resize is not None or config.input.undistort:
         raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
@@ -143,14 +147,51 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | None:
 
         return CLIP
     text = kinds.local_name(spec)
+    if is_log(text):
+        return _packets_of(text, config)
     if kinds.is_url(text) or kinds.kind_of(text) in ("folder", "camera", "device", "pipe", "log", "image"):
         shown = kinds.without_password(spec)
         raise ConfigError(f"--log-image video needs a video file as its input, not {shown}: use --log-image jpeg")
     return Path(text)
 
 
+def _packets_of(log: str, config: RunConfig) -> VideoPackets:
+    """The packets of a log's video, as far as Rerun can play them."""
+    from itertools import chain, islice
+
+    from logs import open_images
+    from logs.images.video import in_order
+    from logs.messages.types import ends_the_past
+    from viz.video import VideoPackets
+
+    source = open_images(log, config.input.topic, time_source=config.input.time_source)
+    source.seek(config.input.start or 0.0)
+    packets = source.packets()
+    first = list(islice(packets, PROBED))
+    why = None
+    if not first or (first[0][2].format == "h264" and not ends_the_past(first[0][2])):
+        why = "it holds no video that begins with a whole key frame"
+    elif not in_order(packet for *_, packet in first):
+        why = "its video has B-frames, and Rerun shows packets in the order in which they come"
+    if why is not None:
+        source.close()
+        raise ConfigError(f"--log-image video cannot take the packets of {log}: {why}; use --log-image jpeg")
+
+    def found() -> Generator[tuple[int, int, bytes]]:
+        with closing(source):
+            for number, stamp_ns, packet in chain(first, packets):
+                yield number, stamp_ns, bytes(packet.data)
+
+    return VideoPackets(first[0][2].format, found())
+
+
 def open_recording(
-    save: Path | None, viewer: str | None, name: str, config: RunConfig, video: Path | None = None
+    save: Path | None,
+    viewer: str | None,
+    name: str,
+    config: RunConfig,
+    video: Path | VideoPackets | None = None,
+    properties: Mapping[str, object] | None = None,
 ) -> Sink:
     """The Rerun recording, into a file, a viewer or both; frames are JPEGs unless `video` is the file of them."""
     from msgspec.structs import asdict
@@ -160,7 +201,7 @@ def open_recording(
     settings = asdict(config.recording)
     if settings["image"] == "video" and video is None:
         settings["image"] = "jpeg"
-    return RerunSink(save=save, connect=viewer, name=name, video=video, **settings)
+    return RerunSink(save=save, connect=viewer, name=name, video=video, properties=properties, **settings)
 
 
 def has_display() -> bool:

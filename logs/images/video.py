@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import insort
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from contextlib import suppress
 from typing import NamedTuple, cast
 
@@ -31,6 +31,23 @@ class Shown(NamedTuple):
     stamp_ns: int
     log_ns: int
     image: NDArray[np.uint8]
+
+
+def in_order(packets: Iterable[VideoPacket]) -> bool:
+    """Whether the pictures of packets, which begin with a key frame, are shown in the order in which they come."""
+    codec: VideoCodecContext | None = None
+    shown: list[int] = []
+    for number, packet in enumerate(packets):
+        if codec is None:
+            codec = _codec(packet.format)
+        unit = av.Packet(bytes(packet.data))
+        unit.pts = number
+        with suppress(av.error.FFmpegError):
+            shown += [frame.pts or 0 for frame in codec.decode(unit)]
+    if codec is not None:
+        with suppress(av.error.FFmpegError):
+            shown += [frame.pts or 0 for frame in codec.decode(None)]
+    return shown == sorted(shown)
 
 
 class VideoDecoder:
@@ -115,16 +132,12 @@ class VideoDecoder:
         return ready
 
     def _open(self, name: str) -> None:
-        codec = next((codec for codec in _CODECS.get(name, ()) if codec in av.codecs_available), None)
-        if codec is None:
-            raise UndecodableError("video format is not readable", repr(name[:40]))
+        context = _codec(name)
         self._drain()
-        context = cast(VideoCodecContext, av.CodecContext.create(codec, "r"))
-        context.thread_count = 1  # with more, the H.264 decoder does not notice what is missing
         context.flags |= Flags.output_corrupt  # one picture for each packet, marked where it is not whole
         # Damage is to be an error at once, before a picture is predicted from it. `strict`: a stream that does not say
         # how far its pictures are out of order may do as its level allows.
-        context.options = {"max_pixels": str(_MOST_PIXELS), "err_detect": "explode", "strict": "1"}
+        context.options = {**context.options, "err_detect": "explode", "strict": "1"}
         self._codec, self._format = context, name
 
     def _decode(self, packet: VideoPacket) -> list[VideoFrame]:
@@ -186,6 +199,16 @@ class VideoDecoder:
         self._waits, self._recovers = True, False
         if self._codec is not None:
             self._codec.flush_buffers()
+
+
+def _codec(name: str) -> VideoCodecContext:
+    codec = next((codec for codec in _CODECS.get(name, ()) if codec in av.codecs_available), None)
+    if codec is None:
+        raise UndecodableError("video format is not readable", repr(name[:40]))
+    context = cast(VideoCodecContext, av.CodecContext.create(codec, "r"))
+    context.thread_count = 1  # with more, the H.264 decoder does not notice what is missing
+    context.options = {"max_pixels": str(_MOST_PIXELS)}
+    return context
 
 
 class _Place(NamedTuple):

@@ -16,18 +16,23 @@ import numpy as np
 import orjson
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
 
-from airline.errors import ConfigError, from_extra
+from airline.errors import ConfigError, InputError, from_extra
 from airline.image import to_uint8
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
 from frontend.frame import Frame
 from frontend.protocols import FrameResult
+from frontend.space import checked_lines, checked_pose
 from frontend.tracks import LineTracks
 from logs.sinks.open import Address, cannot_publish
 from logs.sinks.output import McapOutput
@@ -37,12 +42,15 @@ ANNOTATIONS_TOPIC = "/lines/annotations"
 TRACKS_TOPIC = "/lines/tracks"
 CALIBRATION_TOPIC = "/camera/calibration"
 IMAGE_TOPIC = "/camera/image"
+SPACE_TOPIC = "/lines/space"
+TF_TOPIC = "/tf"
 JPEG_QUALITY = 80
 MESSAGES_WAITING = 64  # per viewer, about half a second of a camera; the server drops the oldest
 
 _CLOSE_S = 1.0
 _CORNER = 0.5
 _FRAME_ID = "camera"
+_WORLD_ID = "world"
 _THICKNESS = 2.0  # px
 _FAINT = 0.4  # opacity of tentative tracks
 _FONT_SIZE = 10.0
@@ -80,6 +88,8 @@ TOPICS = {
     ANNOTATIONS_TOPIC: _protobuf(ImageAnnotations),
     TRACKS_TOPIC: Topic("json", SCHEMA_NAME, "jsonschema", orjson.dumps(SCHEMA)),
 }
+
+SPACE_TOPICS = {SPACE_TOPIC: _protobuf(SceneUpdate), TF_TOPIC: _protobuf(FrameTransform)}
 
 
 def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: int = JPEG_QUALITY) -> bytes | None:
@@ -147,6 +157,31 @@ def _timestamp(stamp_ns: int) -> Timestamp:
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
+def _lines_in_space(segments: NDArray[np.floating], ids: NDArray[np.int64], stamp_ns: int) -> SceneUpdate:
+    """All lines as one entity, which stands for those of the update before."""
+    update = SceneUpdate()
+    entity = update.entities.add(id="lines", frame_id=_WORLD_ID, timestamp=_timestamp(stamp_ns))
+    lines = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=_THICKNESS, scale_invariant=True)
+    lines.pose.orientation.w = 1.0
+    for x, y, z in checked_lines(segments, ids).reshape(-1, 3).tolist():
+        lines.points.add(x=x, y=y, z=z)
+    for r, g, b in (track_colours(ids).repeat(2, axis=0) / 255).tolist():
+        lines.colors.add(r=r, g=g, b=b, a=1.0)
+    return update
+
+
+def _transform(world_T_camera: NDArray[np.floating], stamp_ns: int) -> FrameTransform:
+    pose = checked_pose(world_T_camera)
+    turn = cv2.Rodrigues(pose[:3, :3])[0].ravel()
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn * (np.sin(angle / 2) / angle if angle else 0.5)
+    stamp = _timestamp(stamp_ns)
+    message = FrameTransform(timestamp=stamp, parent_frame_id=_WORLD_ID, child_frame_id=_FRAME_ID)
+    message.translation.x, message.translation.y, message.translation.z = pose[:3, 3].tolist()
+    message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = x, y, z, np.cos(angle / 2)
+    return message
+
+
 class McapTrackSink:
     """Writes each frame's tracks into an MCAP file that can be played while it grows; a `Sink`.
 
@@ -156,6 +191,8 @@ class McapTrackSink:
     | /lines/tracks | frontend.LineTracks, all fields | json |
     | /camera/calibration | foxglove.CameraCalibration, every second and when the camera changes | protobuf |
     | /camera/image | foxglove.CompressedImage, JPEG, on demand | protobuf |
+    | /lines/space | foxglove.SceneUpdate, by `log_lines_3d` | protobuf |
+    | /tf | foxglove.FrameTransform, by `log_pose` | protobuf |
 
     All times of messages are the image's stamp, so that players lay lines and image over each other. The file's
     metadata record "airline-frontend" states the conventions.
@@ -190,17 +227,37 @@ class McapTrackSink:
         self._channels = {topic: self._output.channel(topic, *TOPICS[topic]) for topic in topics}
         self._camera: CameraModel | None = None
         self._calibrated_ns: int | None = None
+        self._now_ns: int | None = None
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks, and its image where asked for."""
         calibrate = self._calibration_is_due(result.tracks)
+        self._now_ns = result.tracks.stamp_ns
         for topic, channel in self._channels.items():
-            if topic == CALIBRATION_TOPIC and not calibrate:
+            if topic in SPACE_TOPICS or (topic == CALIBRATION_TOPIC and not calibrate):
                 continue
             data = message_for(topic, result, labels=self._labels, jpeg_quality=self._quality)
             if data is not None:
                 self._output.write(channel, result.tracks.stamp_ns, data)
         self._output.flush_when_due()
+
+    def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
+        """Write where the camera is, at the time of the latest frame: see `RerunSink.log_pose`."""
+        self._write_space(TF_TOPIC, _transform(world_T_camera, self._now()))
+
+    def log_lines_3d(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
+        """Write lines in space in place of those before, with that time: see `RerunSink.log_lines_3d`."""
+        self._write_space(SPACE_TOPIC, _lines_in_space(segments, ids, self._now()))
+
+    def _now(self) -> int:
+        if self._now_ns is None:
+            raise InputError("what is in space has the time of a frame: write one first")
+        return self._now_ns
+
+    def _write_space(self, topic: str, message: Message) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._output.channel(topic, *SPACE_TOPICS[topic])
+        self._output.write(self._channels[topic], self._now(), message.SerializeToString())
 
     def close(self) -> None:
         """Write the file's index; safe to call twice."""

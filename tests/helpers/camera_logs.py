@@ -66,14 +66,16 @@ def text(count: int = 3) -> Channel:
     return Channel("std_msgs/msg/String", "cdr", messages)
 
 
-def write_log(path: Path, topics: Mapping[str, Channel], chunk_size: int = 1000) -> Path:
+def write_log(
+    path: Path, topics: Mapping[str, Channel], chunk_size: int = 1000, definition: bytes = b"not looked at"
+) -> Path:
     """Write the topics' messages in order of their log times."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=chunk_size)
         writer.start()
         rows = []
         for topic, channel in topics.items():
-            schema = writer.register_schema(channel.schema, "ros2msg", b"not looked at")
+            schema = writer.register_schema(channel.schema, "ros2msg", definition)
             number = writer.register_channel(topic, channel.encoding, schema)
             rows += [(message, number) for message in channel.messages]
         for message, number in sorted(rows, key=lambda row: row[0].log_ns):

@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer
 
 from airline.scenes import RenderedClip
 from tests.helpers.camera_logs import EPOCH_NS, Channel, Logged, write_log
-from tests.helpers.camera_messages import ROS1, cdr, image_fields, ros1
+from tests.helpers.camera_messages import ROS1, ROS2, cdr, image_fields, ros1
 from tests.helpers.command import command
 from tests.helpers.data_sets import write_annotated, write_labelled, write_posed
 from viz.overlay import write_film
@@ -75,7 +75,9 @@ def _write_log(path: Path, images: Images) -> Path:
         stamp_ns = EPOCH_NS + (k * STEP_NS if k < FRAMES // 2 else LATER_NS + (k - FRAMES // 2) * STEP_NS)
         data = cv2.imencode(".jpg", image)[1]
         messages.append(Logged(stamp_ns, cdr("CompressedImage", stamp_ns=stamp_ns, format="jpeg", data=data)))
-    return write_log(path, {"/cam0/image_raw": Channel("sensor_msgs/msg/CompressedImage", "cdr", messages)})
+    kind = "sensor_msgs/msg/CompressedImage"
+    definition = ROS2.generate_msgdef(kind, ros_version=2)[0].encode()  # which Rerun needs
+    return write_log(path, {"/cam0/image_raw": Channel(kind, "cdr", messages)}, definition=definition)
 
 
 def _write_bag(path: Path, images: Images) -> None:

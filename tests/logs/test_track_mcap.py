@@ -210,3 +210,42 @@ def test_other_files_are_refused(tmp_path):
             list(read_tracks(tmp_path / name))
     with pytest.raises(InputError, match="No such file"):
         read_tracks(tmp_path / "missing.mcap")
+
+
+def test_poses_and_lines_in_space(tmp_path):
+    turn = cv2.Rodrigues(np.array([0.1, -0.4, 0.2]))[0]
+    poses = [np.eye(4), np.block([[turn, np.array([[1.0], [2.0], [3.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])]
+    segments, ids = np.arange(12, dtype=np.float32).reshape(2, 2, 3), np.array([3, 4])
+    results = clip_results()[:2]
+    with closing(McapTrackSink(tmp_path / "t.mcap")) as sink:
+        with pytest.raises(InputError, match="write one first"):
+            sink.log_pose(poses[0])
+        for result, pose in zip(results, poses, strict=True):
+            sink.write(result)
+            sink.log_pose(pose)
+            sink.log_lines_3d(segments, ids)
+        with pytest.raises(InputError, match="a pose must be"):
+            sink.log_pose(2 * np.eye(4))
+        with pytest.raises(InputError, match="lines in space must be"):
+            sink.log_lines_3d(segments, ids[:1])
+    found = defaultdict(list)
+    with (tmp_path / "t.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=["/tf", "/lines/space"]):
+            found[channel.topic, schema.name].append((message.log_time, decoded))
+    stamps = [result.tracks.stamp_ns for result in results]
+    for (at, tf), stamp, pose in zip(found["/tf", "foxglove.FrameTransform"], stamps, poses, strict=True):
+        assert (at, tf.parent_frame_id, tf.child_frame_id) == (stamp, "world", "camera")
+        assert [tf.translation.x, tf.translation.y, tf.translation.z] == pose[:3, 3].tolist()
+        x, y, z, w = tf.rotation.x, tf.rotation.y, tf.rotation.z, tf.rotation.w
+        assert np.isclose(np.linalg.norm([x, y, z, w]), 1)
+        across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        np.testing.assert_allclose(np.eye(3) + 2 * w * across + 2 * across @ across, pose[:3, :3], atol=1e-9)
+    for (at, update), stamp in zip(found["/lines/space", "foxglove.SceneUpdate"], stamps, strict=True):
+        (entity,) = update.entities
+        (lines,) = entity.lines
+        assert (at, entity.frame_id, lines.type) == (stamp, "world", lines.LINE_LIST)
+        np.testing.assert_array_equal(np.float32([(p.x, p.y, p.z) for p in lines.points]).reshape(2, 2, 3), segments)
+        colours = np.array([(c.r, c.g, c.b) for c in lines.colors]) * 255
+        np.testing.assert_allclose(colours, track_colours(ids).repeat(2, axis=0), atol=1e-9)
+        assert lines.pose.orientation.w == 1

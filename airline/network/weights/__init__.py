@@ -40,6 +40,15 @@ def bundled_path(name: str) -> Path:
     return Path(__file__).with_name(f"{name}.safetensors")
 
 
+def sha256_of(weights: str | Path) -> str:
+    """SHA-256 of a weights file, or of bundled ones; WeightsError where it cannot be read."""
+    path = _path_of(weights)
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise WeightsError(f"cannot read the weights file {path} ({error.strerror})") from None
+
+
 def load_weights(weights: str | Path) -> tuple[UNetSpec, dict[str, NDArray[np.float32]]]:
     """The edge network's shape, and its float32 tensors by the names of `UNetSpec.shapes`, without torch.
 
@@ -76,10 +85,8 @@ def load_ranges(weights: str | Path) -> Ranges:
 def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[Any]]]:
     from safetensors import SafetensorError, safe_open
 
-    path = bundled_path(str(weights)) if str(weights) in BUNDLED else Path(weights)
-    if not path.is_file():
-        raise WeightsError(f"no weights file {path}: give a .safetensors file or one of {', '.join(sorted(BUNDLED))}")
-    if str(weights) in BUNDLED and hashlib.sha256(path.read_bytes()).hexdigest() != BUNDLED[str(weights)]:
+    path = _path_of(weights)
+    if str(weights) in BUNDLED and sha256_of(weights) != BUNDLED[str(weights)]:
         raise WeightsError(f"the bundled weights {path.name} are damaged (wrong SHA-256): reinstall the package")
     try:
         with safe_open(path, framework="numpy") as stored:
@@ -89,6 +96,13 @@ def _read(weights: str | Path) -> tuple[Path, dict[str, str], dict[str, NDArray[
         raise WeightsError(
             f"{path} is not a readable safetensors file ({error}): give a file of airline.train"
         ) from None
+
+
+def _path_of(weights: str | Path) -> Path:
+    path = bundled_path(str(weights)) if str(weights) in BUNDLED else Path(weights)
+    if not path.is_file():
+        raise WeightsError(f"no weights file {path}: give a .safetensors file or one of {', '.join(sorted(BUNDLED))}")
+    return path
 
 
 @contextmanager
