@@ -76,7 +76,7 @@ audit:
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	$(BIN)/python -m frontend.warm_up
+	$(BIN)/python -m frontend.warm_up >/dev/null
 	touch $@
 
 clean:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("frontend.run")
 
+EXIT_BROKEN_PIPE = 141
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code: 0, 2 for errors a user can mend, 130 after Ctrl-C, 143 after SIGTERM."""
@@ -58,6 +60,9 @@ def main(arguments: list[str] | None = None) -> int:
         return EXIT_USER_ERROR
     except KeyboardInterrupt as interrupt:
         return exit_code_of(interrupt)
+    except BrokenPipeError:  # of `| head`: nobody reads what is left, nor would Python's own flush at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
     return 0
 
 
@@ -188,7 +193,8 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
             print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
         for spec, files in zip(options.out, track_files, strict=True):
             if files[0].exists():  # it may have been removed, or have been left unfinished
-                print(f"wrote {spec}")
+                look = f"; look at it with: python -m viz.replay {shlex.quote(str(files[0]))}"
+                print(f"wrote {spec}{look if files[0].suffix in ('.mcap', '.parquet') else ''}")
     if options.summary is not None:
         try:
             options.summary.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")

@@ -35,12 +35,15 @@ class Summary:
         left_out_per_frame: mean number of tracks seen beyond `max_lines`.
         tracks: number of tracks handed out that were confirmed.
         ids: number of all tracks handed out, those that stayed tentative too: so many ids are in the files.
+        resets: how often the tracks began anew.
+        first_reset: why they did so first; None where they did not.
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
         dropped_frames: frames of a live source that there was no time for.
         reconnects: how often a network stream was lost and came back.
         calibration: where the camera of a folder's or a file's frames is from; None for logs and where it is unknown.
         kind: what the input was taken for.
+        live: whether it was a live source.
         notes: a sentence on each thing that was guessed or done to the input.
     """
 
@@ -58,11 +61,14 @@ class Summary:
     tracks: int
     ids: int
     track_length_median: float
+    resets: int
+    first_reset: str | None
     skipped_frames: int
     dropped_frames: int
     reconnects: int = 0
     calibration: str | None = None
     kind: str = ""
+    live: bool = False
     notes: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
@@ -80,7 +86,7 @@ class Summary:
             "input": {
                 "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
                 "frames/s": f"{self.fps:.1f}",
-                "latency, median": f"{self.latency_ms:.2f} ms",
+                **({"latency, median": f"{self.latency_ms:.2f} ms"} if self.live else {}),
             },
             "time": {stage: f"{spent:.2f} ms, {self.stage_share[stage]:.0%}" for stage, spent in self.stage_ms.items()},
             "tracks": {
@@ -91,6 +97,7 @@ class Summary:
                 **({"left out by --max-lines": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
                 "all tracks": f"{self.tracks} confirmed of {self.ids} ids",
                 "seen in, median": f"{self.track_length_median:g} frames",
+                **({"began anew": f"{self.resets} times, first: {self.first_reset}"} if self.resets else {}),
             },
         }
         table = Table(box=box.ROUNDED if boxed else None, show_header=False)
@@ -111,6 +118,8 @@ class SummaryCounter:
         self._begin_s = self._latest_s = time.perf_counter()
         self._frames = 0
         self._counts = np.zeros(5)  # of lines, tracks, stable ones, measured ones, and ones that were left out
+        self._resets = 0
+        self._first_reset: str | None = None
         self._stages: dict[str, deque[float]] = {}
         self._latencies: deque[float] = deque(maxlen=WINDOW)
         self._hits: dict[int, int] = {}  # of the tracks that have not ended
@@ -128,6 +137,9 @@ class SummaryCounter:
         tracks = result.tracks
         kinds = tracks.stable.sum(), tracks.measured.sum()
         self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out)
+        if tracks.reset is not None:
+            self._resets += 1
+            self._first_reset = self._first_reset or tracks.reset
         self._latencies.append(result.latency_ms)
         for stage, spent in {**result.stage_ms, "sinks": sinks_ms}.items():
             self._stages.setdefault(stage, deque(maxlen=WINDOW)).append(spent)
@@ -159,10 +171,13 @@ class SummaryCounter:
             tracks=sum(lengths.values()),
             ids=sum(n for hits, n in of_all.items() if hits),
             track_length_median=float(np.median(sizes)),
+            resets=self._resets,
+            first_reset=self._first_reset,
             skipped_frames=source.skipped,
             dropped_frames=source.dropped,
             reconnects=source.reconnects,
             calibration=source.calibration,
             kind=source.kind,
+            live=source.live,
             notes=list(source.notes),
         )

@@ -86,7 +86,6 @@ def test_table_and_json_hold_the_same_figures(run: Run) -> None:
     titles = {
         "frames": "frames",
         "frames/s": "fps",
-        "latency, median": "latency_ms",
         "lines per frame": "lines_per_frame",
         "tracks per frame": "live_tracks_per_frame",
         "of these stable": "stable_tracks_per_frame",

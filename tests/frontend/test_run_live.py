@@ -56,6 +56,13 @@ def test_a_first_start_says_that_it_compiles(clip: Path, tmp_path: Path, monkeyp
     assert said == "compiling for this processor, once: about a quarter of a minute\n"
 
 
+def test_a_reader_that_leaves_is_no_traceback(clip: Path) -> None:
+    with python(clip, "--info", stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        child.stdout.close()  # as `| head -0` does
+        said = child.stderr.read()
+    assert (said, child.returncode) == ("", 141)
+
+
 @pytest.fixture(scope="module")
 def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     images = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in pictures(40)] * (VIDEO_FRAMES // 40)

@@ -68,6 +68,14 @@ def test_figures(seen, more_lines, times, frames, confirm_hits, skipped):
     assert json.loads(json.dumps(summary.to_dict())) == summary.to_dict()
 
 
+def test_resets_are_counted_and_the_first_is_named() -> None:
+    counter = SummaryCounter(3)
+    for reason in (None, "a gap", None, "a cut"):
+        counter.add(result(replace(blank_tracks(0), reset=reason), 0, {}), 0.0)
+    summary = counter.summary(Source())
+    assert (summary.resets, summary.first_reset) == (2, "a gap")
+
+
 def test_a_run_without_frames() -> None:
     summary = SummaryCounter(3).summary(Source())
     assert (summary.frames, summary.fps, summary.tracks, summary.skipped_frames) == (0, 0, 0, 0)
