@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
 from io import BytesIO
 from itertools import accumulate
@@ -11,7 +12,9 @@ from PIL.ImageFile import ImageFile
 
 from frontend.sources.orientation import turned
 from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import Header, as_bgr, check_size, decode_page, open_image, read_header, reading
+from frontend.sources.stills import Header, check_size, decode_page, open_image, pixels_of, read_header, reading
+
+log = logging.getLogger(__name__)
 
 _LONGEST_UNSEEN_MS = 10  # browsers, too, show such pictures for 100 ms
 _USUAL_MS = 100
@@ -41,6 +44,7 @@ class Pages:
             durations.extend(self._shown(number).info.get("duration", 0) for number in range(count))
         if len(durations) < count:
             self.notes.append(f"the file is cut or damaged after {len(durations)} of its {count} pictures")
+            log.warning(self.notes[0])
         shown = [ms if ms > _LONGEST_UNSEEN_MS else _USUAL_MS for ms in durations]
         if shown != durations:
             self.notes.append("pictures without a duration count for 100 ms, as browsers show them")
@@ -51,11 +55,11 @@ class Pages:
         if self.header.pages:
             return decode_page(self._file, self.header.pages[number], autorotate)
         with reading():
-            image = as_bgr(self._shown(number))
+            image = pixels_of(self._shown(number))
         return turned(image, self.header.exif, autorotate, already=False)
 
     def _shown(self, number: int) -> ImageFile:
-        self._image.seek(number)
+        self._image.seek(number + getattr(self._image, "default_image", False))  # which a PNG may have apart
         check_size(*self._image.size)
         self._image.load()
         return self._image

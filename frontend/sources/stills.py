@@ -11,23 +11,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from pkgutil import resolve_name
 from threading import Lock
 from typing import Any, NamedTuple, cast
 
-import av
 import cv2
 import numpy as np
-from PIL import (
-    AvifImagePlugin,
-    BmpImagePlugin,
-    GifImagePlugin,
-    JpegImagePlugin,
-    PngImagePlugin,
-    PpmImagePlugin,
-    WebPImagePlugin,
-)
 from PIL.ExifTags import Base
-from PIL.Image import Exif
+from PIL.Image import DecompressionBombError, Exif
 from PIL.ImageFile import ImageFile
 
 from airline.errors import AirLineError, from_extra
@@ -39,19 +30,18 @@ MOST_PIXELS = 1 << 26
 _FLAT = 1 << 22  # pixels that any file may have
 _HEAD = 64  # bytes by which a file is told
 
-
 # How its files begin, what opens them, and how many pixels a byte can hold: every block of 8x8 pixels of a JPEG takes a
 # bit at least (ITU-T T.81), one of 16x16 of a WebP two (RFC 6386); deflate makes 1032 bytes of one at most.
-_CODECS: dict[str, tuple[bytes, type[ImageFile] | None, int]] = {
-    "JPEG": (rb"\xff\xd8\xff", JpegImagePlugin.JpegImageFile, 512),
-    "PNG": (rb"\x89PNG\r\n\x1a\n", PngImagePlugin.PngImageFile, 8 * 1032),
-    "WebP": (rb"RIFF....WEBP", WebPImagePlugin.WebPImageFile, 1024),
-    "GIF": (rb"GIF8[79]a", GifImagePlugin.GifImageFile, MOST_PIXELS),
-    "TIFF": (rb"II[*+]\0|MM\0[*+]", None, MOST_PIXELS),
-    "BMP": (rb"BM.{12}[\x0c\x28\x34\x38\x40\x6c\x7c]", BmpImagePlugin.BmpImageFile, 128),
-    "PNM": (rb"P[1-7][\s#]", PpmImagePlugin.PpmImageFile, 8),
-    "AVIF": (rb"....ftyp(....)*avi[fs]", AvifImagePlugin.AvifImageFile, MOST_PIXELS),
-    "HEIC": (rb"....ftyp(....)*(hei[cxms]|hev[cx]|mif1|msf1)", None, MOST_PIXELS),
+_CODECS: dict[str, tuple[bytes, str, int]] = {
+    "JPEG": (rb"\xff\xd8\xff", "PIL.JpegImagePlugin:JpegImageFile", 512),
+    "PNG": (rb"\x89PNG\r\n\x1a\n", "PIL.PngImagePlugin:PngImageFile", 8 * 1032),
+    "WebP": (rb"RIFF....WEBP", "PIL.WebPImagePlugin:WebPImageFile", 1024),
+    "GIF": (rb"GIF8[79]a", "PIL.GifImagePlugin:GifImageFile", MOST_PIXELS),
+    "TIFF": (rb"II[*+]\0|MM\0[*+]", "", MOST_PIXELS),
+    "BMP": (rb"BM.{12}[\x0c\x28\x34\x38\x40\x6c\x7c]", "PIL.BmpImagePlugin:BmpImageFile", 128),
+    "PNM": (rb"P[1-7][\s#]", "PIL.PpmImagePlugin:PpmImageFile", 8),
+    "AVIF": (rb"....ftyp(....)*avi[fs]", "PIL.AvifImagePlugin:AvifImageFile", MOST_PIXELS),
+    "HEIC": (rb"....ftyp(....)*(hei[cxms]|hev[cx]|mif1|msf1)", "pillow_heif:HeifImageFile", MOST_PIXELS),
 }
 _ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND\xaeB`\x82"}  # neither can be in the pixels' data; cameras pad after it
 _PAM_SIDE = re.compile(rb"^(WIDTH|HEIGHT)[ \t]+(\d{1,9})\s", re.MULTILINE)
@@ -67,7 +57,7 @@ class Header(NamedTuple):
         codec: "JPEG", "PNG" and so on.
         exif: the orientation that EXIF data or the format's own state, 1 (as stored) to 8.
         pictures: how many there are in the file, one after the other.
-        pages: what they are in a TIFF.
+        pages: the same, of a TIFF.
     """
 
     codec: str
@@ -106,7 +96,7 @@ def read_still(data: Bytes, autorotate: bool = True, *, only: bool = False) -> S
         return Still(decode_page(BytesIO(data), header.pages[0], autorotate), header)
     with reading():
         by_pillow = header.codec in ("GIF", "HEIC")  # of the one OpenCV takes cut files, of the other none
-        image = as_bgr(open_image(header.codec, bytes(data))) if by_pillow else _decode(data)
+        image = pixels_of(open_image(header.codec, bytes(data))) if by_pillow else _decode(data)
     if header.codec == "JPEG" and np.all(image[-1, -1] == 128) and not _fills_its_image(data):
         raise damaged("it ends before its last pixels")
     if header.codec == "PNG" and image.ndim == 3 and data[_PNG_COLOUR] in _PNG_GREY:
@@ -143,16 +133,14 @@ def _header(codec: str, data: bytes) -> Header:
         open_image(codec, data).verify()  # every chunk by its CRC, to the end
         if b"eXIf" in data:
             image.load()  # it may come after the pixels
-    return Header(codec, _orientation(image), 1 if codec == "HEIC" else getattr(image, "n_frames", 1))
+    pictures = 1 if codec == "HEIC" else getattr(image, "n_frames", 1) - getattr(image, "default_image", False)
+    return Header(codec, _orientation(image), pictures)
 
 
 def open_image(codec: str, data: bytes) -> ImageFile:
     """By Pillow, without the limits and the warnings of `Image.open`."""
-    plugin: Any = _CODECS[codec][1]
-    if plugin is None:
-        with from_extra("heic"):
-            from pillow_heif import HeifImageFile as plugin  # noqa: N813
-    return cast("ImageFile", plugin(BytesIO(data)))
+    with from_extra("heic"):
+        return cast("ImageFile", resolve_name(_CODECS[codec][1])(BytesIO(data)))
 
 
 def _orientation(image: ImageFile) -> int:
@@ -162,23 +150,22 @@ def _orientation(image: ImageFile) -> int:
         exif.load(image.info.get("exif", b""))
     except Exception:
         return 1
-    stated = image.info.get("original_orientation", exif.get(Base.Orientation))  # the former of HEIC
+    stated: Any = image.info.get("original_orientation", exif.get(Base.Orientation))  # the former of HEIC
     return stated if stated in range(1, 9) else 1
 
 
 def decode_page(file: BytesIO, page: tiff.Page, autorotate: bool) -> Image:
     """A page of a TIFF; changes the file."""
-    most = MOST_PIXELS if page.compressed else 8 * file.getbuffer().nbytes
-    check_size(page.width, page.height, most)
+    check_size(page.width, page.height, MOST_PIXELS if page.compressed else 8 * file.getbuffer().nbytes)
     with reading():
         image = _decode(tiff.put_first(file, page))
     return turned(image, page.exif, autorotate, already=True)  # by OpenCV
 
 
-def as_bgr(image: ImageFile) -> Image:
-    """(H, W, 3) BGR uint8, or (H, W) of a grey HEIC."""
-    if image.mode == "L" and image.format == "HEIF":
-        return np.array(image)
+def pixels_of(image: ImageFile) -> Image:
+    """(H, W, 3) BGR or (H, W) grey of a picture that Pillow decodes."""
+    if image.getbands()[0] in ("L", "I") and image.format != "GIF":  # of which only some pictures may be grey
+        return cast("Image", np.array(image.getchannel(0)))
     return cast("Image", cv2.cvtColor(np.asarray(image.convert("RGB")), cv2.COLOR_RGB2BGR))
 
 
@@ -201,14 +188,14 @@ def _fills_its_image(data: Bytes) -> bool:
     Where a file was cut and then ended properly, OpenCV leaves the rest of the image at a grey of 128 without an error.
     FFmpeg takes twice the time and so is only asked about images that end in this grey.
     """
+    import av  # takes time
+
     codec = av.CodecContext.create("mjpeg", "r")
     codec.options = {"err_detect": "explode", "max_pixels": str(MOST_PIXELS)}
     try:
         codec.decode(av.Packet(bytes(data)))
-    except av.error.InvalidDataError:
-        return False
-    except av.error.FFmpegError:
-        pass  # a rare kind that only OpenCV can decode
+    except av.error.FFmpegError as error:  # of another kind for what only OpenCV can decode
+        return not isinstance(error, av.error.InvalidDataError)
     return True
 
 
@@ -239,6 +226,8 @@ def reading() -> Iterator[None]:
         yield
     except AirLineError:
         raise
+    except DecompressionBombError as error:
+        raise UndecodableError("image is too large", str(error)) from error
     except Exception as error:
         raise damaged(str(error)) from error
     finally:
