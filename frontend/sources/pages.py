@@ -42,6 +42,7 @@ class Pages:
         durations = list[float]()
         with suppress(UndecodableError), reading():  # Pillow tells a picture's duration with its pixels
             durations.extend(self._shown(number).info.get("duration", 0) for number in range(count))
+        self._image = open_image(header.codec, data)  # whose size a picture may have changed
         if len(durations) < count:
             self.notes.append(f"the file is cut or damaged after {len(durations)} of its {count} pictures")
             log.warning(self.notes[0])

@@ -213,27 +213,22 @@ def test_animations(tmp_path: Path, form: str, suffix: str) -> None:
     assert sum("of which the first is taken: 1;" in note for note in source.notes) == 1
 
 
-@pytest.mark.parametrize("form", ["GIF", "WEBP"])
-def test_a_damaged_animation_gives_what_is_before(tmp_path: Path, form: str, caplog: pytest.LogCaptureFixture) -> None:
-    data = bytearray(gif([numbered(k) for k in range(11)], form, [40] * 11))
-    if form == "GIF":
-        del data[len(data) * 2 // 3 :]
-    else:
-        start = data.rindex(b"VP8L", 0, len(data) * 2 // 3)
-        data[start + 8 : start + 60] = bytes(52)
-    (tmp_path / "clip.gif").write_bytes(data)
-    source = FolderSource(tmp_path / "clip.gif")
+def test_a_damaged_animation_gives_what_is_before(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data = bytearray(gif([numbered(k) for k in range(11)], "WEBP", [40] * 11))
+    seventh = [place for place in range(len(data)) if data[place : place + 4] == b"VP8L"][6] + 8
+    data[seventh + 5 : seventh + 40] = bytes([255]) * 35
+    (tmp_path / "clip.webp").write_bytes(data)
+    source = FolderSource(tmp_path / "clip.webp")
     frames = list(source)
-    assert 3 < len(frames) < 10
-    assert [number_of(frame.image) for frame in frames] == list(range(len(frames)))
-    assert [note for note in source.notes if f"damaged after {len(frames)} of its" in note]
-    assert "damaged after" in caplog.text
+    assert [number_of(frame.image) for frame in frames] == list(range(6))
+    assert source.notes == ["the file is cut or damaged after 6 of its 11 pictures"]
+    assert source.notes[0] in caplog.text
 
 
 def test_a_picture_that_is_larger_than_its_animation(tmp_path: Path) -> None:
     data = bytearray(gif([numbered(k) for k in range(3)], "GIF", [40] * 3))
     third = [place for place in range(len(data)) if data[place : place + 2] == b"\0\x2c"][2] + 2
-    struct.pack_into("<HHHH", data, third, 0, 0, 12000, 12000)
+    struct.pack_into("<HHHH", data, third, 0, 0, 8500, 8500)
     (tmp_path / "clip.gif").write_bytes(data)
     assert [number_of(frame.image) for frame in FolderSource(tmp_path / "clip.gif")] == [0, 1]
 
@@ -243,7 +238,6 @@ def test_an_animated_png_with_a_picture_of_its_own(tmp_path: Path) -> None:
     first, *rest = (Pillow.fromarray(numbered(k)) for k in range(5))
     first.save(tmp_path / "a.png", save_all=True, append_images=rest, default_image=True, duration=40)
     assert [number_of(frame.image) for frame in FolderSource(tmp_path / "a.png")] == [1, 2, 3, 4]
-    assert number_of(read_still((tmp_path / "a.png").read_bytes()).image) == 0
 
 
 def test_durations_of_an_animated_png_are_exact(tmp_path: Path) -> None:
