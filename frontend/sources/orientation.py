@@ -8,7 +8,7 @@ import cv2
 
 from frontend.sources.reading import Image
 
-_ROTATIONS = {3: cv2.ROTATE_180, 6: cv2.ROTATE_90_CLOCKWISE, 8: cv2.ROTATE_90_COUNTERCLOCKWISE}
+_FLIPS = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # from 5 on after rows and columns are exchanged
 _WORDS = {
     2: "mirrored",
     3: "turned by 180 degrees",
@@ -18,20 +18,20 @@ _WORDS = {
     7: "mirrored and turned by 90 degrees clockwise",
     8: "turned by 90 degrees counterclockwise",
 }
-INVERSE = {6: 8, 8: 6}  # the others undo themselves
+_INVERSE = {6: 8, 8: 6}  # the others undo themselves
 
 
 def upright(image: Image, exif: int) -> Image:
     """The image as its EXIF orientation, 1 to 8, wants it shown; C-contiguous."""
-    turned: Any = image
-    if exif in (2, 4):
-        turned = cv2.flip(image, 1 if exif == 2 else 0)
-    elif exif in (5, 7):
-        turned = cv2.transpose(image)
-        turned = turned if exif == 5 else cv2.rotate(turned, cv2.ROTATE_180)
-    elif exif in _ROTATIONS:
-        turned = cv2.rotate(image, _ROTATIONS[exif])
-    return cast("Image", turned)
+    turned: Any = cv2.transpose(image) if exif >= 5 else image
+    return cast("Image", cv2.flip(turned, _FLIPS[exif]) if exif in _FLIPS else turned)
+
+
+def turned(image: Image, exif: int, autorotate: bool, *, already: bool) -> Image:
+    """A picture upright, or, without `autorotate`, as stored; a decoder may have turned it already."""
+    if already == autorotate:
+        return image
+    return upright(image, _INVERSE.get(exif, exif) if already else exif)
 
 
 def in_words(exif: int, *, autorotate: bool = True) -> str:

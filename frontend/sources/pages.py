@@ -1,22 +1,23 @@
-"""Several pictures in one file: the pages of a TIFF, and animated GIF, PNG and WebP files."""
+"""Several pictures in one file: the pages of a TIFF, and animated GIF, PNG, WebP and AVIF files."""
 
 from __future__ import annotations
 
-import struct
+import logging
+from contextlib import suppress
+from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, cast
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from PIL.ImageFile import ImageFile
 
-from frontend.sources.orientation import upright
+from frontend.sources.orientation import turned
 from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import MOST_PIXELS, Header, damaged, decode_page, frame_of, read_header, silence
+from frontend.sources.stills import Header, check_size, decode_page, open_image, pixels_of, read_header, reading
 
-_SHORTEST_NS = 10_000_001  # browsers, too, show pictures of up to 10 ms for 100 ms
-_USUAL_NS = 100_000_000
+log = logging.getLogger(__name__)
+
+_LONGEST_UNSEEN_MS = 10  # browsers, too, show such pictures for 100 ms
+_USUAL_MS = 100
 
 
 class Pages:
@@ -25,58 +26,44 @@ class Pages:
     Attributes:
         kind: for people, what the file is.
         stamps_ns: of the pictures; the first has 0.
-        notes: for people, where the times are guessed.
+        notes: for people, where the times are guessed, or pictures are lost.
     """
 
     def __init__(self, data: bytes, header: Header, fps: float) -> None:
-        self.header, self.notes = header, list[str]()
+        self.header, self._file = header, BytesIO(data)
         count = header.pictures
         if header.pages:
             self.kind = f"TIFF of {count} pages"
             self.stamps_ns = [round(k * 1e9 / fps) for k in range(count)]
-            self.notes.append(f"the file's {count} pages are numbered by {fps:g} frames/s: --fps gives another rate")
-        else:
-            self.kind = f"animated {header.codec} of {count} pictures"
-            shown = [ns if ns >= _SHORTEST_NS else _USUAL_NS for ns in header.durations_ns]
-            self.stamps_ns = [0, *accumulate(shown[:-1])]
-            if shown != list(header.durations_ns):
-                self.notes.append("pictures without a duration count for 100 ms, as browsers show them")
-        self._data = memoryview(bytearray(data) if header.pages else data)
-        self._ready: dict[int, NDArray[Any]] = {}  # of an animation
+            self.notes = [f"the file's {count} pages are numbered by {fps:g} frames/s: --fps gives another rate"]
+            return
+        self.kind, self.notes = f"animated {header.codec} of {count} pictures", []
+        self._image = open_image(header.codec, data)
+        durations = list[float]()
+        with suppress(UndecodableError), reading():  # Pillow tells a picture's duration with its pixels
+            durations.extend(self._shown(number).info.get("duration", 0) for number in range(count))
+        self._image = open_image(header.codec, data)  # whose size a picture may have changed
+        if len(durations) < count:
+            self.notes.append(f"the file is cut or damaged after {len(durations)} of its {count} pictures")
+            log.warning(self.notes[0])
+        shown = [ms if ms > _LONGEST_UNSEEN_MS else _USUAL_MS for ms in durations]
+        if shown != durations:
+            self.notes.append("pictures without a duration count for 100 ms, as browsers show them")
+        self.stamps_ns = [0, *(round(ms * 1e6) for ms in accumulate(shown[:-1]))]
 
     def read(self, number: int, *, autorotate: bool) -> Image:
         """A picture, from 0; raises UndecodableError for a damaged or too large one."""
         if self.header.pages:
-            return decode_page(self._data, self.header.pages[number], autorotate)
-        if number not in self._ready:
-            self._ready = self._decode_from(number)
-        image = frame_of(self._ready.pop(number))
-        return upright(image, self.header.exif) if autorotate else image
+            return decode_page(self._file, self.header.pages[number], autorotate)
+        with reading():
+            image = pixels_of(self._shown(number))
+        return turned(image, self.header.exif, autorotate, already=False)
 
-    def _decode_from(self, number: int) -> dict[int, NDArray[Any]]:
-        """As many pictures from one on as are in a bound of memory: for each of them OpenCV decodes all before."""
-        height, width = self._shape
-        count = max(1, MOST_PIXELS // (height * width))
-        try:
-            with silence():
-                done, found = cv2.imdecodeanimation(np.frombuffer(self._data, np.uint8), number, count)
-        except cv2.error as error:
-            raise damaged(str(error)) from error
-        if not done or not found.frames:
-            raise damaged("its pixels cannot be decoded")
-        return dict(enumerate(cast("list[NDArray[Any]]", found.frames), number))
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        """Height and width of an animation in px, which its header bounds."""
-        if self.header.codec == "PNG":
-            width, height = struct.unpack_from(">II", self._data, 16)
-        elif self.header.codec == "GIF":
-            width, height = struct.unpack_from("<HH", self._data, 6)
-        else:
-            sides = int.from_bytes(self._data[24:30], "little")
-            width, height = (sides & 0xFFFFFF) + 1, (sides >> 24) + 1
-        return height, width
+    def _shown(self, number: int) -> ImageFile:
+        self._image.seek(number + getattr(self._image, "default_image", False))  # which a PNG may have apart
+        check_size(*self._image.size)
+        self._image.load()
+        return self._image
 
 
 def open_pages(path: Path, fps: float) -> Pages | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from frontend.sources.orientation import upright
 from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import Header, Still, read_only_still
+from frontend.sources.stills import Header, Still, read_still
 from logs.messages.types import BAYER, EncodedImage, RawImage, VideoPacket
 
 if TYPE_CHECKING:
@@ -125,13 +125,13 @@ def _contradiction(raw: RawImage) -> UndecodableError:
 
 
 def decode_still(record: RawImage | EncodedImage, autorotate: bool = True) -> Still:
-    """The image of one record, from any thread; see `decode_pixels` and `read_only_still`.
+    """The image of one record, from any thread; see `decode_pixels` and `read_still`.
 
     A file with one channel whose message says that it is a Bayer mosaic is made a colour image, as a raw one is.
     """
     if isinstance(record, RawImage):
         return Still(decode_pixels(record), Header(record.encoding))
-    image, header = read_only_still(record.data, autorotate=False)
+    image, header = read_still(record.data, autorotate=False, only=True)
     if record.encoding in BAYER and image.ndim == 2 and min(image.shape) >= _SMALLEST_BAYER:
         conversion = _LAYOUTS[record.encoding].conversion
         assert conversion is not None

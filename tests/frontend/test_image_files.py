@@ -163,7 +163,7 @@ def test_cut_and_damaged_files_are_refused_or_decoded(form: str, capfd: pytest.C
         struct.pack("<2sIHHIIiiHHIIiiII", b"BM", 54, 0, 0, 54, 40, 8000, 8000, 1, 24, 0, 0, 0, 0, 0, 0) + bytes(999),
         b"P5 30000 30000 255\n" + bytes(999),
         b"P7\nWIDTH 8000\nHEIGHT 8000\nDEPTH 3\nMAXVAL 255\nENDHDR\n" + bytes(999),
-        struct.pack("<6sHHBBB", b"GIF89a", 60000, 60000, 0, 0, 0) + bytes(999),
+        struct.pack("<6sHHBBBBHHHHBB", b"GIF89a", 60000, 60000, 0, 0, 0, 0x2C, 0, 0, 9, 9, 0, 2) + bytes(999),
         struct.pack("<2sHIHHHIIHHIII", b"II", 42, 8, 2, 256, 4, 1, 30000, 257, 4, 1, 30000, 0) + bytes(999),
         struct.pack("<2sHIHHHIIHHIII", b"II", 42, 8, 2, 256, 4, 1, 8000, 257, 4, 1, 8000, 0) + bytes(999),
     ],
@@ -180,6 +180,9 @@ def test_heic_without_libheif_is_a_sentence(tmp_path: Path, monkeypatch: pytest.
         list(FolderSource(tmp_path))
 
 
+FORMS_OF_ANIMATIONS = [("GIF", ".gif"), ("PNG", ".png"), ("PNG", ".apng"), ("WEBP", ".webp"), ("AVIF", ".avif")]
+
+
 def gif(pictures: list[np.ndarray], form: str, durations: list[int]) -> bytes:
     """An animation by Pillow; durations in ms."""
     data = BytesIO()
@@ -188,7 +191,7 @@ def gif(pictures: list[np.ndarray], form: str, durations: list[int]) -> bytes:
     return data.getvalue()
 
 
-@pytest.mark.parametrize(("form", "suffix"), [("GIF", ".gif"), ("PNG", ".png"), ("PNG", ".apng"), ("WEBP", ".webp")])
+@pytest.mark.parametrize(("form", "suffix"), FORMS_OF_ANIMATIONS)
 def test_animations(tmp_path: Path, form: str, suffix: str) -> None:
     durations = [40 + 10 * (k % 3) for k in range(20)]
     path = tmp_path / f"clip{suffix}"
@@ -210,11 +213,31 @@ def test_animations(tmp_path: Path, form: str, suffix: str) -> None:
     assert sum("of which the first is taken: 1;" in note for note in source.notes) == 1
 
 
-def test_large_animations_are_decoded_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("frontend.sources.pages.MOST_PIXELS", 3 * 48 * 96)
-    path = tmp_path / "clip.gif"
-    path.write_bytes(gif([numbered(k) for k in range(11)], "GIF", [40] * 11))
-    assert [number_of(frame.image) for frame in FolderSource(path)] == list(range(11))
+def test_a_damaged_animation_gives_what_is_before(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data = bytearray(gif([numbered(k) for k in range(11)], "WEBP", [40] * 11))
+    seventh = [place for place in range(len(data)) if data[place : place + 4] == b"VP8L"][6] + 8
+    data[seventh + 5 : seventh + 40] = bytes([255]) * 35
+    (tmp_path / "clip.webp").write_bytes(data)
+    source = FolderSource(tmp_path / "clip.webp")
+    frames = list(source)
+    assert [number_of(frame.image) for frame in frames] == list(range(6))
+    assert source.notes == ["the file is cut or damaged after 6 of its 11 pictures"]
+    assert source.notes[0] in caplog.text
+
+
+def test_a_picture_that_is_larger_than_its_animation(tmp_path: Path) -> None:
+    data = bytearray(gif([numbered(k) for k in range(3)], "GIF", [40] * 3))
+    third = [place for place in range(len(data)) if data[place : place + 2] == b"\0\x2c"][2] + 2
+    struct.pack_into("<HHHH", data, third, 0, 0, 8500, 8500)
+    (tmp_path / "clip.gif").write_bytes(data)
+    assert [number_of(frame.image) for frame in FolderSource(tmp_path / "clip.gif")] == [0, 1]
+
+
+def test_an_animated_png_with_a_picture_of_its_own(tmp_path: Path) -> None:
+    """Which is for programs that know no animations."""
+    first, *rest = (Pillow.fromarray(numbered(k)) for k in range(5))
+    first.save(tmp_path / "a.png", save_all=True, append_images=rest, default_image=True, duration=40)
+    assert [number_of(frame.image) for frame in FolderSource(tmp_path / "a.png")] == [1, 2, 3, 4]
 
 
 def test_durations_of_an_animated_png_are_exact(tmp_path: Path) -> None:
