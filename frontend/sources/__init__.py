@@ -34,7 +34,7 @@ def open_source(
     """
     from pathlib import Path
 
-    from frontend.sources import kinds
+    from frontend.sources import address, kinds
     from frontend.sources.folder import FolderSource
     from frontend.sources.listing import IMAGE_SUFFIXES, is_pattern
     from frontend.sources.live import LiveSource
@@ -45,11 +45,13 @@ def open_source(
         return LiveSource(int(text[:9]))
     if kind == "camera":
         return LiveSource(text)
+    length = address.length_of(text) if kind == "missing" else None
     if kind == "missing" and "://" in text:
-        stream = LiveSource(text, reconnect_s)
-        if not stream.is_recording:
-            return stream
-        stream.close()
+        if length is None:
+            stream = LiveSource(text, reconnect_s)
+            if not stream.is_recording:
+                return stream
+            stream.close()
     elif kind == "log" or (kind in ("missing", "unknown") and suffix in kinds.LOG_SUFFIXES):
         raise InputError(f"'{text}' is a log: open it with logs.open_images")
     elif (
@@ -60,4 +62,7 @@ def open_source(
         return FolderSource(text, fps, calibrated=calibrated, autorotate=autorotate)
     from frontend.sources.video import VideoSource
 
-    return VideoSource(text, autorotate=autorotate, fps=fps)
+    video = VideoSource(text, autorotate=autorotate, fps=fps)
+    if length == 0:
+        video.notes.append("the server does not say how long the file is: it is taken for a recording by its name")
+    return video
