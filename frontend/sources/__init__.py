@@ -45,9 +45,8 @@ def open_source(
         return LiveSource(int(text[:9]))
     if kind == "camera":
         return LiveSource(text)
-    length = address.length_of(text) if kind == "missing" else None
     if kind == "missing" and "://" in text:
-        if length is None:
+        if address.length_of(text) is None:
             stream = LiveSource(text, reconnect_s)
             if not stream.is_recording:
                 return stream
@@ -62,7 +61,4 @@ def open_source(
         return FolderSource(text, fps, calibrated=calibrated, autorotate=autorotate)
     from frontend.sources.video import VideoSource
 
-    video = VideoSource(text, autorotate=autorotate, fps=fps)
-    if length == 0:
-        video.notes.append("the server does not say how long the file is: it is taken for a recording by its name")
-    return video
+    return VideoSource(text, autorotate=autorotate, fps=fps)

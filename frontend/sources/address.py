@@ -17,10 +17,12 @@ _FILES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".m2
 
 def length_of(url: str) -> int | None:
     """Bytes of a file; 0 where the server does not say, but the name is a file's; None for a stream, or no answer."""
-    suffix = PurePosixPath(urlsplit(url).path).suffix.lower()
-    if not url.startswith(("http://", "https://")) or suffix in _PLAYLISTS:
+    if not url.startswith(("http://", "https://")):
         return None
     try:
+        suffix = PurePosixPath(urlsplit(url).path).suffix.lower()
+        if suffix in _PLAYLISTS:
+            return None
         with _ask(url, "HEAD") as answer:
             kind = answer.headers.get_content_type()
             length = int(answer.headers.get("Content-Length", 0))

@@ -15,8 +15,7 @@ from airline.errors import InputError
 
 MOST_PIXELS = 1 << 26
 """More are refused by FFmpeg before it allocates for them."""
-WRAP = 1 << 33
-"""Behind which the times of MPEG-TS and MPEG-PS begin anew, in their unit."""
+_WRAP = 1 << 33  # behind which the clock of MPEG-TS and MPEG-PS begins anew
 _TIMEOUT_S = 5.0
 _RETRY = {"reconnect": "1", "reconnect_on_network_error": "1", "reconnect_delay_max": "5"}
 _PROTOCOLS = {"file": "file,crypto,data", "url": "http,https,tcp,tls,httpproxy,crypto,data", "pipe": "pipe"}
@@ -63,10 +62,21 @@ class Described(NamedTuple):
             return None, None
         return count, max(round((seconds - 1 / self.fps) * 1e9), 0)
 
+    def step_back(self, before: int, after: int) -> float:
+        """By how many seconds a clock steps back between packets, as where videos are joined; else 0.
+
+        FFmpeg takes some such steps for a clock that begins anew, and so for one ahead.
+        """
+        back = before - after
+        if not self.indexed and 2 * back < -_WRAP:
+            back += _WRAP
+        seconds = float(back * self.unit)
+        return seconds if seconds > 4 / (self.fps or 30) else 0.0
+
 
 def open_container(place: Any, way: str, form: str | None) -> InputContainer:
     """Open a "file", "url" or "pipe", of a format by its name if not None; raises FFmpegError, OSError, ValueError."""
-    limits = {"protocol_whitelist": _PROTOCOLS[way], "max_pixels": str(MOST_PIXELS), "correct_ts_overflow": "0"}
+    limits = {"protocol_whitelist": _PROTOCOLS[way], "max_pixels": str(MOST_PIXELS)}
     more, timeout = (_RETRY, (_TIMEOUT_S, _TIMEOUT_S)) if way == "url" else ({}, None)
     made: InputContainer = av.open(
         place, "r", form, options={**limits, **more}, metadata_errors="replace", timeout=timeout
@@ -128,16 +138,18 @@ def describe(container: InputContainer, stream: VideoStream, suffix: str) -> Des
     )
 
 
-def counted(container: InputContainer, title: str, origin: int, unit: Fraction) -> tuple[int | None, int | None, bool]:
-    """What `Described.end` says, of a file without an index, and whether its times step back; it is read, and closed.
+def counted(container: InputContainer, title: str, said: Described, origin: int) -> tuple[int | None, int | None, bool]:
+    """What `Described.end` says, of a file without an index, and whether its clock steps back; it is read, and closed.
 
     Of large files nothing is known.
     """
     with container:
         if container.size > _COUNTED:
             return None, None, False
-        times = [packet.pts for packet in container.demux(video_stream(container, title)) if packet.pts is not None]
+        packets = [packet for packet in container.demux(video_stream(container, title)) if packet.pts is not None]
+    clock = [packet.dts for packet in packets if packet.dts is not None]
+    times = [packet.pts for packet in packets if packet.pts is not None]
     times = times[times.index(origin) :] if origin in times else times
-    steps_back = any((before - after) * unit > 1 for before, after in pairwise(times))
-    last_ns = None if steps_back or not times else round((max(times) - origin) * unit * 10**9)
-    return len(times) or None, last_ns, steps_back
+    if any(said.step_back(*pair) for pair in pairwise(clock)):
+        return len(times), None, True
+    return len(times) or None, round((max(times, default=origin) - origin) * said.unit * 10**9), False

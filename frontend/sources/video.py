@@ -21,7 +21,7 @@ from airline.errors import InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources import address, kinds
-from frontend.sources.container import MOST_PIXELS, WRAP, counted, describe, open_container, video_stream
+from frontend.sources.container import MOST_PIXELS, counted, describe, open_container, video_stream
 from frontend.sources.motion_jpeg import JPEG
 from frontend.sources.orientation import in_words, upright
 from frontend.sources.pipe import Pipe
@@ -73,7 +73,7 @@ class VideoSource(Source):
         self._lock, self._closed = threading.Lock(), False
         self._reformatter = VideoReformatter()
         self._pipe: Pipe | None = None
-        self._is_url = kinds.is_url(text)
+        self._is_url, self._unsized = kinds.is_url(text), False
         self._resources = ExitStack()
         self.notes = []
         try:
@@ -147,6 +147,9 @@ class VideoSource(Source):
             self.name = re.sub(r"[^\w.]+", "-", shown).strip("-.") or "video"
             self.kind = "recording at a URL"
             self._check(text, address.start_of(text), "from a URL")
+            self._unsized = address.length_of(text) == 0
+            if self._unsized:
+                self.notes.append("the server does not say how long the file is: its name says that it is a recording")
             return lambda: self._opened(text, "url")
         kind, self.name = kinds.kind_of(text), Path(text).stem
         if kind == "pipe":
@@ -214,8 +217,7 @@ class VideoSource(Source):
         if self._pipe is None and self._said.indexed:
             count, last_ns = self._said.end(float((self._first.key or 0) * self._said.unit))
         elif self._pipe is None and not self._is_url and self._first.key is not None:
-            found = counted(self._open(), self._title, self._first.key, self._said.unit)
-            count, last_ns, self._joined = found
+            count, last_ns, self._joined = counted(self._open(), self._title, self._said, self._first.key)
         self._stated = count or 0
         self.frame_count, self.last_stamp_ns = count, last_ns
 
@@ -235,8 +237,8 @@ class VideoSource(Source):
     def _restart(self) -> None:
         self._waiting: list[int] = []  # times of the packets whose pictures have not come, a heap
         self._newest: int | None = None
-        self._shown: int | None = None  # time of the latest picture
-        self._shift = 0  # of the times behind where they began anew
+        self._clock: int | None = None  # of the latest packet
+        self._shift = 0  # of the times behind where it stepped back
         self._damaged = 0  # packets whose pictures will not come
         self._error = ""
         self._pictures = self._decoded()
@@ -266,6 +268,8 @@ class VideoSource(Source):
                 broken = _reason(error)
             if packet is not None and not packet.size:  # which a decoder would take for the end
                 continue
+            if packet is not None:
+                self._continue(packet)
             if packet is not None and not packet.is_discard:
                 self._damaged += packet.is_corrupt
                 key = packet.dts if packet.pts is None or self._said.coded_order else packet.pts
@@ -293,7 +297,8 @@ class VideoSource(Source):
                     yield frame
             if packet is None:
                 self._raise_interrupt()
-                if broken and not 0 < self._stated <= self._position:
+                whole = self._position >= self._stated if self._stated else self._unsized
+                if broken and not whole:
                     raise InputError(f"cannot read more of {self._title}: {broken}")
                 return
 
@@ -306,22 +311,28 @@ class VideoSource(Source):
         passed = 0
         while key is not None and self._waiting and self._waiting[0] <= key:
             passed += heapq.heappop(self._waiting) < key
+        if passed and not (self._position or self._damaged or self._said.coded_order):
+            note = f"the video begins between key frames: its first {passed} pictures cannot be decoded"
+            self.notes += [note] if note not in self.notes else []
         # without damage these were no frames: the other halves of interlaced ones, or pictures to predict from
         self._skip(self._damaged if key is None else passed if self._damaged else 0)
         self._position += 1
-        return _Picture(None if key is None else self._continued(key), frame)
+        return _Picture(key, frame)
 
-    def _continued(self, key: int) -> int:
-        """A time, in the stream's unit, as if its clock never began anew."""
-        back = 0 if self._shown is None else self._shown - key
-        seconds = back * self._said.unit
-        if not self._said.indexed and 2 * back > WRAP:
-            self._shift += WRAP
-        elif seconds > 1:
-            self._shift += back + max(round(1 / (self._fps * self._said.unit)), 1)
-            self.notes.append(f"the times step back by {float(seconds):g} s, as where videos are joined: they go on")
-        self._shown = key
-        return key + self._shift
+    def _continue(self, packet: Any) -> None:
+        """Move a packet's times to where they would be if the stream's clock had not stepped back before."""
+        if packet.dts is None:
+            return
+        dts = packet.dts + self._shift
+        if self._clock is not None and (seconds := self._said.step_back(self._clock, dts)):
+            step = self._clock - dts + max(round(1 / (self._fps * self._said.unit)), 1)
+            self._shift, dts = self._shift + step, dts + step
+            self.notes.append(
+                f"times step back by {seconds:.3g} s, as where videos are joined: they are taken to go on"
+            )
+        packet.dts = self._clock = dts
+        if packet.pts is not None:
+            packet.pts += self._shift
 
     def _skip(self, lost: int) -> None:
         if lost:
