@@ -162,7 +162,7 @@ class SelectedFrames(WrappedSource):
     @property
     def frame_count(self) -> int | None:
         count = self._source.frame_count
-        if count is None or self._end_ns is not None:  # nobody knows how many lie before the end
+        if count is None:
             return self._max_frames
         count = math.ceil(count / self._stride)
         return count if self._max_frames is None else min(count, self._max_frames)
