@@ -1,10 +1,11 @@
-"""Opening a video by FFmpeg, and what its container says of it."""
+"""Opening a video by FFmpeg: a file, a recording behind a URL, or a pipe."""
 
 from __future__ import annotations
 
-from fractions import Fraction
-from itertools import pairwise
-from typing import Any, NamedTuple
+import re
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import av
 from av.container import InputContainer
@@ -12,76 +13,120 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from airline.errors import InputError
+from frontend.sources import address, kinds
+from frontend.sources.motion_jpeg import JPEG
+from frontend.sources.pipe import Pipe
 
 MOST_PIXELS = 1 << 26
 """More are refused by FFmpeg before it allocates for them."""
-_WRAP = 1 << 33  # behind which the clock of MPEG-TS and MPEG-PS begins anew
 _TIMEOUT_S = 5.0
 _RETRY = {"reconnect": "1", "reconnect_on_network_error": "1", "reconnect_delay_max": "5"}
-_PROTOCOLS = {"file": "file,crypto,data", "url": "http,https,tcp,tls,httpproxy,crypto,data", "pipe": "pipe"}
+_PROTOCOLS = {"file": "file,crypto,data", "URL": "http,https,tcp,tls,httpproxy,crypto,data", "pipe": "pipe"}
 _TEXT_CODECS = ("ansi", "bintext", "xbin", "idf")  # FFmpeg renders text as a video of scrolling terminal output
-_COUNTED = 1 << 28  # bytes of a file without an index whose pictures are counted, in about a second
 
 
-class Described(NamedTuple):
-    """What a container says of its video.
+class VideoInput:
+    """What a name stands for, to be opened any number of times; a pipe once.
 
     Attributes:
-        format: for people.
-        codec: for people, with the pixels' format where they have more than 8 bits.
-        unit: of the times, s.
-        fps: frames per second, 0 where the stream holds neither times nor a rate.
-        duration_s: to the end of the last picture; from zero on, or from the first one.
-        frames: as stated, 0 where it is not.
-        from_zero: whether `duration_s` counts from zero.
-        hides: whether `frames` may count pictures that are not shown.
-        coded_order: whether times are in the order of the packets.
-        indexed: whether there is an index or a header; else nothing of this is known to be right.
+        title: for messages.
+        name: short.
+        kind: for people, without the container's format.
+        suffix: of the name.
+        way: "file", "URL" or "pipe".
+        pipe: where it is one.
+        unsized: whether a server does not say how long it is.
+
+    Raises:
+        InputError: there is no such thing, or it is no video.
     """
 
-    format: str
-    codec: str
-    unit: Fraction
-    fps: float
-    duration_s: float | None
-    frames: int
-    from_zero: bool
-    hides: bool
-    coded_order: bool
-    indexed: bool
+    def __init__(self, spec: str) -> None:
+        self._resources = ExitStack()
+        self.title, self.suffix = kinds.title_of(spec), Path(spec).suffix.lower()
+        self.name, self.way, self.kind = Path(spec).stem, "file", "video file"
+        self.pipe: Pipe | None = None
+        self.unsized = False
+        # Absolute, so that FFmpeg takes no part of the name for a protocol.
+        self._place: str | Pipe = str(Path(spec).absolute())
+        kind = "URL" if kinds.is_url(spec) else kinds.kind_of(spec)
+        if kind == "URL":
+            shown = kinds.without_password(spec).split("?")[0].split("://")[-1]
+            self.name = re.sub(r"[^\w.]+", "-", shown).strip("-.") or "video"
+            self.way, self.kind, self._place = "URL", "recording at a URL", spec
+            self._start, self.unsized = address.start_of(spec), address.length_of(spec) == 0
+        elif kind == "pipe":
+            self.way = "pipe"
+            self.kind = "video stream from stdin" if spec == kinds.STDIN else "video stream from a pipe"
+            self.pipe = self._place = Pipe(spec)
+            self._resources.callback(self.pipe.close)
+            self._start = self.pipe.start
+        elif kind == "folder":
+            raise InputError(f"{self.title} is a folder, not a video file")
+        elif kind in ("missing", "camera"):
+            raise InputError(f"there is no video file {self.title}")
+        elif kind == "device":
+            raise InputError(f"{self.title} is a device, no video file: name one, or send a video through a pipe")
+        else:
+            self._start = kinds.start_of(spec)
+            try:
+                self._place.encode()
+            except UnicodeEncodeError:
+                raise InputError(f"the file name {self._place!a} is not UTF-8: rename the file") from None
+        try:
+            self._check(spec)
+        except InputError:
+            self.close()
+            raise
 
-    def end(self, origin_s: float) -> tuple[int | None, int | None]:
-        """How many pictures there are at most, and the stamp of the last, ns, where the first is at origin_s."""
-        if not self.indexed or self.duration_s is None:
-            return self.frames or None, None
-        seconds = self.duration_s - (origin_s if self.from_zero else 0)
-        timed = round(seconds * self.fps)
-        stated = self.frames - (round(origin_s * self.fps) if self.from_zero else 0)
-        count = timed if stated <= 0 or (self.hides and timed < stated) else stated
-        if not 0 < count < 1e9:
-            return None, None
-        return count, max(round((seconds - 1 / self.fps) * 1e9), 0)
+    def open(self) -> InputContainer:
+        """Open it; it is closed with this."""
+        limits = {"protocol_whitelist": _PROTOCOLS[self.way], "max_pixels": str(MOST_PIXELS)}
+        more, timeout = (_RETRY, (_TIMEOUT_S, _TIMEOUT_S)) if self.way == "URL" else ({}, None)
+        form = "mjpeg" if self._start.startswith(JPEG) else None
+        place: Any = self._place
+        try:
+            made: InputContainer = av.open(
+                place, "r", form, options={**limits, **more}, metadata_errors="replace", timeout=timeout
+            )
+        except (av.FFmpegError, OSError, ValueError) as error:
+            self.raise_interrupt()
+            if self.way == "URL":
+                raise InputError(f"cannot open {self.title} ({reason_of(error)}): is the address right?") from None
+            what = "text" if kinds.is_text(self._start) else "empty, cut short or of an unknown format"
+            says = f"{self.title} is no video that can be read: it is {what}"
+            raise InputError(self.unpipeable() or says) from None
+        self._resources.callback(made.close)
+        return made
 
-    def step_back(self, before: int, after: int) -> float:
-        """By how many seconds a clock steps back between packets, as where videos are joined; else 0.
+    def close(self) -> None:
+        self._resources.close()
 
-        FFmpeg takes some such steps for a clock that begins anew, and so for one ahead.
-        """
-        back = before - after
-        if not self.indexed and 2 * back < -_WRAP:
-            back += _WRAP
-        seconds = float(back * self.unit)
-        return seconds if seconds > 4 / (self.fps or 30) else 0.0
+    def unpipeable(self) -> str:
+        """What to say of an MP4 whose index is behind its pictures, in a pipe; else nothing."""
+        if self.pipe is None or self._start[4:8] != b"ftyp":
+            return ""
+        return f"{self.title} sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS"
 
+    def raise_interrupt(self) -> None:
+        """Raise the Ctrl-C that has ended a pipe, if one has."""
+        if self.pipe is not None and self.pipe.interrupt is not None:
+            raise self.pipe.interrupt
 
-def open_container(place: Any, way: str, form: str | None) -> InputContainer:
-    """Open a "file", "url" or "pipe", of a format by its name if not None; raises FFmpegError, OSError, ValueError."""
-    limits = {"protocol_whitelist": _PROTOCOLS[way], "max_pixels": str(MOST_PIXELS)}
-    more, timeout = (_RETRY, (_TIMEOUT_S, _TIMEOUT_S)) if way == "url" else ({}, None)
-    made: InputContainer = av.open(
-        place, "r", form, options={**limits, **more}, metadata_errors="replace", timeout=timeout
-    )
-    return made
+    def _check(self, spec: str) -> None:
+        """Refuse by its first bytes what FFmpeg would take for something else, or could not name."""
+        kind = kinds.kind_of_content(self._start, self.suffix)
+        if kind == "packed":
+            raise kinds.packed_error(spec, self._start)
+        if kind in ("log", "image"):
+            what = "a log" if kind == "log" else "an image, no video"
+            how = f"open it with {'logs.open_images' if kind == 'log' else 'frontend.open_source'}"
+            if self.way != "file":
+                how = "only videos come through a pipe" if self.pipe else "only videos come from a URL"
+                how += ": save it as a file, and name that"
+            raise InputError(f"{self.title} is {what}: {how}")
+        if not self._start and self.way != "URL":
+            raise InputError(f"{self.title} is empty, or cannot be read: give a video file")
 
 
 def video_stream(container: InputContainer, title: str) -> VideoStream:
@@ -104,52 +149,6 @@ def video_stream(container: InputContainer, title: str) -> VideoStream:
     raise InputError(f"{title} holds {what}{cover}, no readable video frame: give a video file")
 
 
-def describe(container: InputContainer, stream: VideoStream, suffix: str) -> Described:
-    """What the container says of a video stream; `suffix` is that of the input's name."""
-    names = container.format.name.split(",")
-    codec = stream.codec_context.codec.canonical_name
-    pixels = stream.codec_context.format
-    if pixels is not None and any(part.bits > 8 for part in pixels.components):
-        codec += f" ({pixels.name})"
-    unit = stream.time_base or Fraction(1, av.time_base)
-    rate = stream.average_rate or stream.guessed_rate
-    fps = float(rate) if rate and 0 < rate < 10_000 else 0.0
-    no_times: Any = av.format.Flags.no_timestamps
-    if container.format.flags & no_times.value and not stream.codec_context.framerate:
-        fps = 0.0
-    duration_s = None
-    if stream.duration:
-        duration_s = float(stream.duration * unit)
-    elif container.duration and container.duration > 0:
-        duration_s = container.duration / av.time_base
-        if "nut" in names and fps:  # which states where the last picture begins
-            duration_s += 1 / fps
-    return Described(
-        format=suffix if suffix in names else "mp4" if "mp4" in names else names[0],
-        codec=codec,
-        unit=unit,
-        fps=fps,
-        duration_s=duration_s,
-        frames=stream.frames,
-        from_zero=not {"matroska", "webm", "nut", "avi"}.isdisjoint(names),
-        hides="mp4" in names,
-        coded_order="avi" in names,
-        indexed={"mpegts", "mpeg"}.isdisjoint(names),
-    )
-
-
-def counted(container: InputContainer, title: str, said: Described, origin: int) -> tuple[int | None, int | None, bool]:
-    """What `Described.end` says, of a file without an index, and whether its clock steps back; it is read, and closed.
-
-    Of large files nothing is known.
-    """
-    with container:
-        if container.size > _COUNTED:
-            return None, None, False
-        packets = [packet for packet in container.demux(video_stream(container, title)) if packet.pts is not None]
-    clock = [packet.dts for packet in packets if packet.dts is not None]
-    times = [packet.pts for packet in packets if packet.pts is not None]
-    times = times[times.index(origin) :] if origin in times else times
-    if any(said.step_back(*pair) for pair in pairwise(clock)):
-        return len(times), None, True
-    return len(times) or None, round((max(times, default=origin) - origin) * said.unit * 10**9), False
+def reason_of(error: Exception) -> str:
+    """Why, without the address, which may carry a password."""
+    return str(getattr(error, "strerror", "") or type(error).__name__)

@@ -5,26 +5,22 @@ from __future__ import annotations
 import heapq
 import logging
 import os
-import re
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import av
-from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
 from airline.errors import InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
-from frontend.sources import address, kinds
-from frontend.sources.container import MOST_PIXELS, counted, describe, open_container, video_stream
-from frontend.sources.motion_jpeg import JPEG
+from frontend.sources import kinds
+from frontend.sources.container import MOST_PIXELS, VideoInput, reason_of, video_stream
+from frontend.sources.described import counted, describe
 from frontend.sources.orientation import in_words, upright
-from frontend.sources.pipe import Pipe
 from frontend.sources.pixels import image_of, orientation_of
 from frontend.sources.reading import Skips, UndecodableError
 from frontend.sources.stills import read_header
@@ -67,26 +63,21 @@ class VideoSource(Source):
     notes: list[str]
 
     def __init__(self, path: str | os.PathLike[str], *, autorotate: bool = True, fps: float = _DEFAULT_FPS) -> None:
-        text = kinds.local_name(path)
-        self._title = kinds.title_of(text)
         self._autorotate = autorotate
         self._lock, self._closed = threading.Lock(), False
         self._reformatter = VideoReformatter()
-        self._pipe: Pipe | None = None
-        self._is_url, self._unsized = kinds.is_url(text), False
-        self._resources = ExitStack()
-        self.notes = []
+        self._start_ns = self._stated = 0
+        self._input = VideoInput(kinds.local_name(path))
+        self.name, self.notes = self._input.name, []
+        self._skips = Skips(self.name)
         try:
-            self._open = self._opener(text)
-            self._skips = Skips(self.name)
-            self._container = self._open()
-            self._stream = video_stream(self._container, self._title)
-            self._describe(text, fps)
-            self._start_ns = 0
+            self._container = self._input.open()
+            self._stream = video_stream(self._container, self._input.title)
+            self._describe(fps)
             self._shows_damage = self._joined = False
             self._begin()
             first = self._read()
-            if first is None and self._damaged and self._pipe is None:
+            if first is None and self._damaged and self._input.pipe is None:
                 self._shows_damage = True  # better than nothing
                 self._reopen()
                 first = self._read()
@@ -97,7 +88,7 @@ class VideoSource(Source):
         except BaseException:
             self.close()
             raise
-        self._origin = first.key if self._said.fps else None
+        self._origin = first.key if self._said.timed else None
         self._number = self._position - 1  # of the first picture
         exif = self._orientation(first.frame)
         self.orientation = in_words(exif, autorotate=autorotate)
@@ -116,7 +107,7 @@ class VideoSource(Source):
 
     def __iter__(self) -> Iterator[Frame]:
         try:
-            seeks = self._start_ns > 0 and self._pipe is None and not self._joined
+            seeks = self._start_ns > 0 and self._input.pipe is None and not self._joined
             found = self._read_near(self._start_ns) if seeks else self._first
             while found is not None:
                 index, stamp_ns = self._place(found)
@@ -131,105 +122,45 @@ class VideoSource(Source):
             self._skips.report(log)
 
     def stop(self) -> None:
-        if self._pipe is not None:
-            self._pipe.stopped.set()
+        if self._input.pipe is not None:
+            self._input.pipe.stopped.set()
 
     def close(self) -> None:
         self.stop()
         with self._lock:  # FFmpeg does not survive being closed while it reads
             self._closed = True
-            self._resources.close()
+            self._input.close()
 
-    def _opener(self, text: str) -> Callable[[], InputContainer]:
-        """How the input is opened, once and for all; also names it."""
-        if self._is_url:
-            shown = kinds.without_password(text).split("?")[0].split("://")[-1]
-            self.name = re.sub(r"[^\w.]+", "-", shown).strip("-.") or "video"
-            self.kind = "recording at a URL"
-            self._check(text, address.start_of(text), "from a URL")
-            self._unsized = address.length_of(text) == 0
-            if self._unsized:
-                self.notes.append("the server does not say how long the file is: its name says that it is a recording")
-            return lambda: self._opened(text, "url")
-        kind, self.name = kinds.kind_of(text), Path(text).stem
-        if kind == "pipe":
-            self.kind = "video stream from stdin" if text == kinds.STDIN else "video stream from a pipe"
-            self._pipe = pipe = Pipe(text)
-            self._resources.callback(pipe.close)
-            self._check(text, pipe.start, "through a pipe")
-            return lambda: self._opened(pipe, "pipe")
-        if kind == "folder":
-            raise InputError(f"{self._title} is a folder, not a video file")
-        if kind in ("missing", "camera"):
-            raise InputError(f"there is no video file {self._title}")
-        if kind == "device":
-            raise InputError(f"{self._title} is a device, no video file: name one, or send a video through a pipe")
-        self.kind = "video file"
-        self._check(text, kinds.start_of(text), "")
-        # Absolute, so that FFmpeg takes no part of the name for a protocol.
-        name = str(Path(text).absolute())
-        try:
-            name.encode()
-        except UnicodeEncodeError:
-            raise InputError(f"the file name {name!a} is not UTF-8: rename the file") from None
-        return lambda: self._opened(name, "file")
-
-    def _check(self, text: str, start: bytes, way: str) -> None:
-        """Refuse by its first bytes what FFmpeg would take for something else, or could not name."""
-        self._start = start
-        kind = kinds.kind_of_content(start, Path(text).suffix.lower())
-        if kind == "packed":
-            raise kinds.packed_error(text, start)
-        if kind in ("log", "image"):
-            what = "a log" if kind == "log" else "an image, no video"
-            how = "logs.open_images" if kind == "log" else "frontend.open_source"
-            advice = f"only videos come {way}: save it as a file, and name that" if way else f"open it with {how}"
-            raise InputError(f"{self._title} is {what}: {advice}")
-        if not start and not self._is_url:
-            raise InputError(f"{self._title} is empty, or cannot be read: give a video file")
-
-    def _opened(self, place: Any, way: str) -> InputContainer:
-        try:
-            made = open_container(place, way, "mjpeg" if self._start.startswith(JPEG) else None)
-        except (av.FFmpegError, OSError, ValueError) as error:
-            self._raise_interrupt()
-            if self._is_url:
-                raise InputError(f"cannot open {self._title} ({_reason(error)}): is the address right?") from None
-            if self._unpipeable():
-                raise InputError(self._unpipeable()) from None
-            what = "text" if kinds.is_text(self._start) else "empty, cut short or of an unknown format"
-            raise InputError(f"{self._title} is no video that can be read: it is {what}") from None
-        self._resources.callback(made.close)
-        return made
-
-    def _describe(self, text: str, fps: float) -> None:
+    def _describe(self, fps: float) -> None:
         """Set what the container says of the video."""
-        self._said = said = describe(self._container, self._stream, Path(text).suffix[1:].lower())
-        self.kind, self.codec = f"{self.kind} ({said.format})", said.codec
+        self._said = said = describe(self._container, self._stream, self._input.suffix[1:])
+        self.kind, self.codec = f"{self._input.kind} ({said.format})", said.codec
         self._unit_ns = said.unit.numerator * 10**9, said.unit.denominator
         self._fps = said.fps or fps
-        if not said.fps:
+        if not said.timed:
             self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
+        if self._input.unsized:
+            self.notes.append("the server does not say how long the file is: its name says that it is a recording")
 
     def _count(self) -> None:
         """Set how many frames there are and when the last is, behind the first."""
         count = last_ns = None
-        if self._pipe is None and self._said.indexed:
+        if self._input.pipe is None and self._said.indexed:
             count, last_ns = self._said.end(float((self._first.key or 0) * self._said.unit))
-        elif self._pipe is None and not self._is_url and self._first.key is not None:
-            count, last_ns, self._joined = counted(self._open(), self._title, self._said, self._first.key)
+        elif self._input.way == "file" and self._first.key is not None:
+            count, last_ns, self._joined = counted(self._input.open(), self._stream.index, self._said, self._first.key)
         self._stated = count or 0
         self.frame_count, self.last_stamp_ns = count, last_ns
 
     def _reopen(self) -> None:
         self._container.close()
-        self._container = self._open()
-        self._stream = video_stream(self._container, self._title)
+        self._container = self._input.open()
+        self._stream = video_stream(self._container, self._input.title)
         self._begin()
 
     def _begin(self) -> None:
         """Read a container from its begin."""
-        self._position = self._stated = 0  # frames passed, damaged ones included
+        self._position = 0  # frames passed, damaged ones included
         self._jpeg_orientation = 1
         self._last: tuple[int, int] | None = None  # index and stamp of the latest frame
         self._restart()
@@ -258,14 +189,14 @@ class VideoSource(Source):
                 failed = 0
             except av.error.InvalidDataError as error:
                 failed += 1
-                self._error = _reason(error)
+                self._error = reason_of(error)
                 self._damaged += 1
                 if failed == _MAX_FAILED_READS:
                     return
                 packets = self._container.demux(self._stream)
                 continue
             except (av.FFmpegError, OSError) as error:
-                broken = _reason(error)
+                broken = reason_of(error)
             if packet is not None and not packet.size:  # which a decoder would take for the end
                 continue
             if packet is not None:
@@ -286,7 +217,7 @@ class VideoSource(Source):
             except av.error.EOFError:
                 return
             except av.FFmpegError as error:
-                self._error = _reason(error)
+                self._error = reason_of(error)
                 self._damaged += 1
                 frames = []
             for frame in frames:
@@ -296,10 +227,10 @@ class VideoSource(Source):
                 else:
                     yield frame
             if packet is None:
-                self._raise_interrupt()
-                whole = self._position >= self._stated if self._stated else self._unsized
+                self._input.raise_interrupt()
+                whole = self._position >= self._stated if self._stated else self._input.unsized
                 if broken and not whole:
-                    raise InputError(f"cannot read more of {self._title}: {broken}")
+                    raise InputError(f"cannot read more of {self._input.title}: {broken}")
                 return
 
     def _read(self) -> _Picture | None:
@@ -393,25 +324,11 @@ class VideoSource(Source):
         if lost > (3 if self._stream.codec_context.has_b_frames else 1) + 0.02 * stated:
             self._skips.add(f"frame {self._position}, where the file ends", lost)
 
-    def _unpipeable(self) -> str:
-        if self._pipe is None or self._pipe.start[4:8] != b"ftyp":
-            return ""
-        return f"{self._title} sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS"
-
     def _nothing(self) -> str:
-        if reason := self._unpipeable():
+        if reason := self._input.unpipeable():
             return reason
         codec = self._stream.codec_context
         if codec.width * codec.height > MOST_PIXELS:
-            return f"{self._title} holds pictures of {codec.width}x{codec.height}, more than {MOST_PIXELS} pixels"
+            return f"{self._input.title} holds pictures of {codec.width}x{codec.height}, more than {MOST_PIXELS} pixels"
         why = f" ({self._error})" if self._error else ""
-        return f"{self._title} holds {self.codec} video, but no readable video frame{why}: give a video file"
-
-    def _raise_interrupt(self) -> None:
-        if self._pipe is not None and self._pipe.interrupt is not None:
-            raise self._pipe.interrupt
-
-
-def _reason(error: Exception) -> str:
-    """Why, without the address, which may carry a password."""
-    return str(getattr(error, "strerror", "") or type(error).__name__)
+        return f"{self._input.title} holds {self.codec} video, but no readable video frame{why}: give a video file"

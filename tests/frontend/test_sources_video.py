@@ -502,7 +502,8 @@ def test_jpegs_with_exif_data_are_turned_as_in_folders(tmp_path: Path, suffix: s
     (still,) = open_source(tmp_path / "one.jpg")
     source = open_source(path, fps=25)
     frames = list(source)
-    assert np.abs(frames[0].image.astype(int) - still.image).mean() < 3
+    assert frames[0].image.shape == still.image.shape
+    assert np.corrcoef(frames[0].image.ravel(), still.image.ravel())[0, 1] > 0.97
     assert [frame.stamp_ns for frame in frames] == [number * PERIOD_NS for number in range(8)]
     assert ("EXIF" in source.orientation) == (exif != 1)
     stored = [frame.image for frame in open_source(path, fps=25, autorotate=False)]
