@@ -29,11 +29,11 @@ def describe(source: Source) -> str:
     first = peeked.first
     if first is None:
         raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
-    end_ns, count, rate = source.last_stamp_ns, source.frame_count, _rate_hz(source, first)
+    end_ns, rate = source.last_stamp_ns, _rate_hz(source, first)
     rows = {
         "kind": source.kind,
         "size": _size(first),
-        "frames": f"{count}" if count is not None else "live, no end" if source.live else "?",
+        "frames": _count(source) or ("live, no end" if source.live else "?"),
         "first time": _time(first.stamp_ns),
         "last time": "?" if end_ns is None else _time(end_ns),
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
@@ -52,7 +52,7 @@ def introduce(source: Source, first: Frame, notes: Sequence[str], results: Seque
 
     `found` says that the calibration was looked for, and not given.
     """
-    count, rate = source.frame_count, _rate_hz(source, first)
+    count, rate = _count(source), _rate_hz(source, first)
     known = source.kind, _size(first), f"{count} frames" if count else "", f"{rate:.4g} frames/s" if rate else ""
     if first.camera is None:
         calibration = "none, so lines have pixels but no rays: --calib FILE gives one"
@@ -95,6 +95,13 @@ def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str]
 def _size(frame: Frame) -> str:
     height, width = frame.image.shape[:2]
     return f"{width}x{height} {'grey' if frame.image.ndim == 2 else 'colour'}, {8 * frame.image.itemsize} bits"
+
+
+def _count(source: Source) -> str:
+    """How many frames there are; where nobody knows when the last is, that is a bound."""
+    if source.frame_count is None:
+        return ""
+    return f"{'at most ' if source.last_stamp_ns is None else ''}{source.frame_count}"
 
 
 def _rate_hz(source: Source, first: Frame) -> float | None:

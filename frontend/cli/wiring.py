@@ -136,6 +136,7 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
 def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | None:
     """The input's file, or a log's packets, if they stand for the frames in the recording."""
     from frontend.sources import kinds
+    from frontend.sources.listing import is_pattern
     from logs.files import is_log
 
     if config.recording.image != "video" or config.recording.layer is not None:
@@ -149,7 +150,9 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | N
     text = kinds.local_name(spec)
     if is_log(text):
         return _packets_of(text, config)
-    if kinds.is_url(text) or kinds.kind_of(text) in ("folder", "camera", "device", "pipe", "log", "image"):
+    kind = kinds.kind_of(text)
+    others = kind in ("folder", "camera", "device", "pipe", "log", "image")
+    if others or (kind == "missing" and (kinds.is_url(text) or is_pattern(text) or text.isdigit())):
         shown = kinds.without_password(spec)
         raise ConfigError(f"--log-image video needs a video file as its input, not {shown}: use --log-image jpeg")
     return Path(text)

@@ -34,7 +34,7 @@ def open_source(
     """
     from pathlib import Path
 
-    from frontend.sources import kinds
+    from frontend.sources import address, kinds
     from frontend.sources.folder import FolderSource
     from frontend.sources.listing import IMAGE_SUFFIXES, is_pattern
     from frontend.sources.live import LiveSource
@@ -46,10 +46,11 @@ def open_source(
     if kind == "camera":
         return LiveSource(text)
     if kind == "missing" and "://" in text:
-        stream = LiveSource(text, reconnect_s)
-        if not stream.is_recording:
-            return stream
-        stream.close()
+        if address.length_of(text) is None:
+            stream = LiveSource(text, reconnect_s)
+            if not stream.is_recording:
+                return stream
+            stream.close()
     elif kind == "log" or (kind in ("missing", "unknown") and suffix in kinds.LOG_SUFFIXES):
         raise InputError(f"'{text}' is a log: open it with logs.open_images")
     elif (

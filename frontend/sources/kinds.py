@@ -9,22 +9,26 @@ import re
 import shlex
 import stat
 import zlib
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal, NamedTuple
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from airline.errors import InputError
+from frontend.sources.motion_jpeg import JPEG, is_motion_jpeg
 
 Kind = Literal["missing", "folder", "camera", "device", "pipe", "log", "image", "packed", "video", "unknown"]
 
 STDIN = "/dev/stdin"
 LOG_SUFFIXES = frozenset({".mcap", ".bag", ".db3"})
 _START = 512  # bytes that are looked at
+_MOST = 1 << 26  # bytes of a JPEG that are looked at for what is behind it
 _VIDEO4LINUX = 81  # the major number of its devices
 _CAMERAS = re.compile(r"/dev/(video\d+|v4l/.+)")
 _LOGS = {b"\x89MCAP0\r\n": "an MCAP log", b"#ROSBAG V": "a ROS 1 bag", b"SQLite format 3\0": "a ROS 2 bag"}
-_STILLS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"GIF8")
+_FILE_URL = re.compile(r"file:(?://[^/]*)?(/.*)", re.IGNORECASE | re.DOTALL)
+_STILLS = (JPEG, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"GIF8")
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1", b"hevc", b"hevx", b"avif", b"avis")
 _MOTION_JPEG = frozenset({".mjpg", ".mjpeg"})  # one JPEG after the other
 
@@ -50,21 +54,36 @@ _TARRED = "a tar archive"
 
 
 def local_name(spec: str | os.PathLike[str]) -> str:
-    """The path that an input stands for: "-" is the standard input, a file:// URL its path; others as they are."""
+    """The path that an input stands for: "-" is the standard input, a file URL its path; others as they are."""
     text = os.fspath(spec)
     if text == "-":
         return STDIN
-    return unquote(urlsplit(text).path) if text.startswith("file://") and not os.path.exists(text) else text  # noqa: PTH110
+    if os.path.exists(text):  # noqa: PTH110  pathlib raises for long names
+        return text
+    if found := _FILE_URL.fullmatch(text):
+        return found[1] if os.path.exists(found[1]) else unquote(found[1])  # noqa: PTH110
+    return re.sub(r"^[A-Za-z][\w+.-]*://", lambda scheme: scheme[0].lower(), text)
 
 
 def is_url(text: str) -> bool:
     """Whether a name that is no file's is a URL."""
-    return "://" in text and not os.path.exists(text)  # noqa: PTH110  pathlib raises for long names
+    return "://" in text and not os.path.exists(text)  # noqa: PTH110
 
 
 def without_password(url: str) -> str:
-    """A URL as messages may show it."""
-    return re.sub(r"//[^/@]*@", "//", url)
+    """A URL as messages may show it: without user and password, which may hold any sign, and without its query."""
+    scheme, there, place = url.partition("://")
+    if not there:
+        return url
+    server = re.split(r"[/?#]", place)[0]
+    if "@" in server or ":" in server:
+        place = place.rpartition("@")[2]
+    return f"{scheme}://{re.sub(r'[?].*', '?...', place)}"
+
+
+def title_of(text: str) -> str:
+    """A local name as messages show it."""
+    return "the standard input" if text == STDIN else f"'{without_password(text)}'"
 
 
 def kind_of(path: str) -> Kind:
@@ -90,6 +109,8 @@ def kind_of_content(start: bytes, suffix: str = "") -> Kind:
         return "log"
     if _packing(start) is not None:
         return "packed"
+    if is_motion_jpeg(start):
+        return "video"
     if _is_still(start) and suffix not in _MOTION_JPEG:
         return "image"
     if start[4:8] == b"ftyp" or start.startswith(b"\x1a\x45\xdf\xa3") or start[8:12] == b"AVI ":
@@ -98,29 +119,41 @@ def kind_of_content(start: bytes, suffix: str = "") -> Kind:
 
 
 def start_of(path: str) -> bytes:
-    """The first bytes of a file; none where it cannot be read."""
+    """What a file begins with, see `start_from`; nothing where it cannot be read."""
     try:
         with open(path, "rb") as file:  # noqa: PTH123
-            return file.read(_START)
+            return start_from(file.read)
     except (OSError, ValueError):
         return b""
 
 
-def packed_error(title: str, start: bytes) -> InputError:
-    """What to say of a packed file: what it is, and how to unpack it."""
+def start_from(read: Callable[[int], bytes]) -> bytes:
+    """What something begins with that is read by a function: so much that it tells what that is."""
+    start = bytearray()
+    wanted = _START
+    while wanted and (more := read(wanted)):
+        start += more
+        if len(start) >= _START:
+            unclear = start.startswith(JPEG) and len(start) < _MOST and is_motion_jpeg(start) is None
+            wanted = max(len(start), 1 << 16) if unclear else 0
+        else:
+            wanted = _START - len(start)
+    return bytes(start)
+
+
+def packed_error(text: str, start: bytes) -> InputError:
+    """What to say of a packed input: what it is, and of a file how to unpack it."""
     packing = _packing(start)
     assert packing is not None
-    path = Path(title)
+    path = Path(text)
     known = path.suffix.lower() in packing.suffixes
     out = path.with_suffix("") if known else path.with_name(f"{path.name}.unpacked")
     inside = _inside(start, packing, out)
-    command = (_TAR if inside == _TARRED else packing).command.format(
-        file=shlex.quote(title), out=shlex.quote(str(out))
-    )
-    holds = f" and holds {inside}" if inside else ""
-    return InputError(
-        f"'{title}' is packed by {packing.name}{holds}: unpack it first with `{command}`, and give what comes out"
-    )
+    says = f"{title_of(text)} is packed by {packing.name}{f' and holds {inside}' if inside else ''}: unpack it"
+    if text == STDIN or not path.is_file():
+        return InputError(f"{says} into a file, and name that")
+    command = (_TAR if inside == _TARRED else packing).command.format(file=shlex.quote(text), out=shlex.quote(str(out)))
+    return InputError(f"{says} first with `{command}`, and give what comes out")
 
 
 def is_text(start: bytes) -> bool:

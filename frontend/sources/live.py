@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import logging
 import re
 import threading
 import time
 from collections.abc import Iterator
-from http.client import HTTPException
-from urllib.parse import unquote, urlsplit
-from urllib.request import Request, urlopen
 
 import cv2
 
@@ -66,9 +62,8 @@ class LiveSource(Source):
     @property
     def is_recording(self) -> bool:
         """Whether what is behind an http URL has an end: better read by `VideoSource`, with its own times."""
-        if not str(self._device).lower().startswith(("http://", "https://")):
-            return False
-        return 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9 or _has_length(str(self._device))
+        is_http = str(self._device).startswith(("http://", "https://"))
+        return is_http and 0 < self._capture.get(cv2.CAP_PROP_FRAME_COUNT) < 1e9
 
     def __iter__(self) -> Iterator[Frame]:
         index = last_ns = 0
@@ -118,23 +113,6 @@ class LiveSource(Source):
             f"{self._title} was lost and did not come back within {self._reconnect_s:g} s: what was done so far is "
             "kept; see whether it still sends, or wait longer by --reconnect"
         )
-
-
-def _has_length(url: str) -> bool:
-    """Whether a server says how long a file is; a live playlist is a file, too, but no video."""
-    parts = urlsplit(url)
-    if parts.path.lower().endswith((".m3u8", ".mpd")):
-        return False
-    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl(), method="HEAD")
-    if "@" in parts.netloc:
-        user = unquote(parts.netloc.rpartition("@")[0])
-        request.add_header("Authorization", f"Basic {base64.b64encode(user.encode()).decode()}")
-    try:
-        with urlopen(request, timeout=_TIMEOUT_MS / 1000) as answer:
-            kind = answer.headers.get_content_type()
-            return int(answer.headers.get("Content-Length", 0)) > 0 and "mpegurl" not in kind and "dash" not in kind
-    except (OSError, ValueError, HTTPException):  # many cameras do not answer
-        return False
 
 
 def _open(device: int | str) -> cv2.VideoCapture:

@@ -5,41 +5,30 @@ from __future__ import annotations
 import heapq
 import logging
 import os
-import re
-import select
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from fractions import Fraction
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import av
-import numpy as np
-from av.container import InputContainer
-from av.stream import Disposition
 from av.video.frame import VideoFrame
-from av.video.reformatter import Interpolation, VideoReformatter
-from av.video.stream import VideoStream
+from av.video.reformatter import VideoReformatter
 
 from airline.errors import InputError
 from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources import kinds
+from frontend.sources.container import MOST_PIXELS, VideoInput, reason_of, video_stream
+from frontend.sources.described import counted, describe
 from frontend.sources.orientation import in_words, upright
-from frontend.sources.reading import Image, Skips
+from frontend.sources.pixels import image_of, orientation_of
+from frontend.sources.reading import Skips, UndecodableError
+from frontend.sources.stills import read_header
 
 log = logging.getLogger(__name__)
 
-MOST_PIXELS = 1 << 26
-"""More are refused by FFmpeg before it allocates for them."""
 _DEFAULT_FPS = 30.0
 _MAX_FAILED_READS = 100  # in a row, of the container
-_TIMEOUT_S = 5.0
-_RETRY = {"reconnect": "1", "reconnect_on_network_error": "1", "reconnect_delay_max": "5"}
-_PROTOCOLS = {"file": "file,crypto,data", "url": "http,https,tcp,tls,httpproxy,crypto,data"}
-_POLL_S = 0.2
-_TEXT_CODECS = ("ansi", "bintext", "xbin", "idf")  # FFmpeg renders text as a video of scrolling terminal output
 
 
 class _Picture(NamedTuple):
@@ -74,39 +63,36 @@ class VideoSource(Source):
     notes: list[str]
 
     def __init__(self, path: str | os.PathLike[str], *, autorotate: bool = True, fps: float = _DEFAULT_FPS) -> None:
-        text = kinds.local_name(path)
-        self._title = "the standard input" if text == kinds.STDIN else f"'{kinds.without_password(text)}'"
         self._autorotate = autorotate
         self._lock, self._closed = threading.Lock(), False
         self._reformatter = VideoReformatter()
-        self._pipe: _Pipe | None = None
-        self._is_url = kinds.is_url(text)
-        self._resources = ExitStack()
-        self.notes = []
+        self._start_ns = self._stated = 0
+        self._input = VideoInput(kinds.local_name(path))
+        self.name, self.notes = self._input.name, []
+        self._skips = Skips(self.name)
         try:
-            self._open = self._opener(text)
-            self._skips = Skips(self.name)
-            self._container = self._open()
-            self._stream = self._video_stream()
-            self._describe(text, fps)
-            self._start_ns = 0
-            self._shows_damage = False
+            self._container = self._input.open()
+            self._stream = video_stream(self._container, self._input.title)
+            self._describe(fps)
+            self._shows_damage = self._joined = False
             self._begin()
             first = self._read()
-            if first is None and self._damaged and self._pipe is None:
+            if first is None and self._damaged and self._input.pipe is None:
                 self._shows_damage = True  # better than nothing
                 self._reopen()
                 first = self._read()
             if first is None:
                 raise InputError(self._nothing())
+            self._first = first
+            self._count()
         except BaseException:
             self.close()
             raise
-        self._first = first
-        self._origin = first.key if self._times else None
+        self._origin = first.key if self._said.timed else None
         self._number = self._position - 1  # of the first picture
-        self.orientation = in_words(self._exif(first.frame), autorotate=autorotate)
-        if autorotate and self._exif(first.frame) != 1:
+        exif = self._orientation(first.frame)
+        self.orientation = in_words(exif, autorotate=autorotate)
+        if autorotate and exif != 1:
             self.notes.append(f"pictures are {self.orientation}, as the file says; --no-autorotate leaves them")
 
     @property
@@ -116,159 +102,74 @@ class VideoSource(Source):
     def seek(self, start_s: float) -> None:
         """See `Source`. Behind it `Frame.index` is the time multiplied by the frame rate: exact for a constant rate."""
         self._start_ns = round(start_s * 1e9)
+        if self._start_ns > 0:
+            self.frame_count = None
 
     def __iter__(self) -> Iterator[Frame]:
         try:
-            seeks = self._start_ns > 0 and self._pipe is None
+            seeks = self._start_ns > 0 and self._input.pipe is None and not self._joined
             found = self._read_near(self._start_ns) if seeks else self._first
             while found is not None:
                 index, stamp_ns = self._place(found)
                 if stamp_ns >= self._start_ns:
-                    yield Frame(index, stamp_ns, self._image(found.frame))
+                    image = image_of(found.frame, self._reformatter)
+                    if self._autorotate:
+                        image = upright(image, self._orientation(found.frame))
+                    yield Frame(index, stamp_ns, image)
                 found = self._read()
             self._count_lost_tail()
         finally:
             self._skips.report(log)
 
     def stop(self) -> None:
-        if self._pipe is not None:
-            self._pipe.stopped.set()
+        if self._input.pipe is not None:
+            self._input.pipe.stopped.set()
 
     def close(self) -> None:
         self.stop()
         with self._lock:  # FFmpeg does not survive being closed while it reads
             self._closed = True
-            self._resources.close()
+            self._input.close()
 
-    def _opener(self, text: str) -> Callable[[], InputContainer]:
-        """How the input is opened, once and for all; also names it."""
-        if self._is_url:
-            shown = kinds.without_password(text).split("?")[0].split("://")[-1]
-            self.name = re.sub(r"[^\w.]+", "-", shown).strip("-.") or "video"
-            self.kind = "recording at a URL"
-            return lambda: self._opened(text, _PROTOCOLS["url"], _RETRY, (_TIMEOUT_S, _TIMEOUT_S))
-        kind = kinds.kind_of(text)
-        if kind == "pipe":
-            self.name, self.kind = Path(text).stem, "video stream from a pipe"
-            if text == kinds.STDIN:
-                self.kind = "video stream from stdin"
-            self._pipe = pipe = _Pipe(text)
-            self._resources.callback(pipe.close)
-            self._check(text, pipe.start)
-            return lambda: self._opened(pipe, "pipe", {}, None)
-        if kind == "folder":
-            raise InputError(f"{self._title} is a folder, not a video file")
-        if kind in ("missing", "camera"):
-            raise InputError(f"there is no video file {self._title}")
-        if kind == "device":
-            raise InputError(f"{self._title} is a device, no video file: name one, or send a video through a pipe")
-        self._check(text, kinds.start_of(text))
-        path = Path(text)
-        # Absolute, so that FFmpeg takes no part of the name for a protocol.
-        name = str(path.absolute())
-        try:
-            name.encode()
-        except UnicodeEncodeError:
-            raise InputError(f"the file name {name!a} is not UTF-8: rename the file") from None
-        self.name, self.kind = path.stem, "video file"
-        return lambda: self._opened(name, _PROTOCOLS["file"], {}, None)
-
-    def _check(self, text: str, start: bytes) -> None:
-        """Refuse by its first bytes what FFmpeg would take for something else, or could not name."""
-        kind = kinds.kind_of_content(start, Path(text).suffix.lower())
-        if kind == "log":
-            raise InputError(f"{self._title} is a log: open it with logs.open_images")
-        if kind == "packed":
-            raise kinds.packed_error(text, start)
-        if kind == "image":
-            raise InputError(f"{self._title} is an image, no video: open it with frontend.open_source")
-        if not start:
-            raise InputError(f"{self._title} is empty, or cannot be read: give a video file")
-
-    def _opened(self, place: Any, protocols: str, more: dict[str, str], timeout: Any) -> InputContainer:
-        limits = {"protocol_whitelist": protocols, "max_pixels": str(MOST_PIXELS), **more}
-        try:
-            made: InputContainer = av.open(place, "r", options=limits, metadata_errors="replace", timeout=timeout)
-        except (av.FFmpegError, OSError, ValueError) as error:
-            self._raise_interrupt()
-            if self._is_url:
-                raise InputError(f"cannot open {self._title} ({_reason(error)}): is the address right?") from None
-            if self._unpipeable():
-                raise InputError(self._unpipeable()) from None
-            start = self._pipe.start if self._pipe is not None else kinds.start_of(place)
-            what = "text" if kinds.is_text(start) else "empty, cut short or of an unknown format"
-            raise InputError(f"{self._title} is no video that can be read: it is {what}") from None
-        self._resources.callback(made.close)
-        return made
-
-    def _video_stream(self) -> VideoStream:
-        """The container's first video that is no cover picture."""
-        streams = self._container.streams
-        form = self._container.format.name
-        if any(stream.codec_context and stream.codec_context.name in _TEXT_CODECS for stream in streams.video):
-            raise InputError(f"{self._title} holds text, no readable video frame: give a video file")
-        if form.endswith("_pipe") or form in ("image2", "ico"):
-            raise InputError(f"{self._title} is a single picture, no video: convert it to PNG")
-        for stream in streams.video:
-            if not stream.disposition & Disposition.attached_pic:
-                if stream.codec_context is None:
-                    raise InputError(f"{self._title} holds video of a codec that this FFmpeg cannot decode: convert it")
-                return stream
-        held = sorted({str(stream.type) for stream in streams})
-        cover = " and a cover picture" if streams.video else ""
-        what = " and ".join(kind for kind in held if kind != "video") or "nothing"
-        raise InputError(f"{self._title} holds {what}{cover}, no readable video frame: give a video file")
-
-    def _describe(self, text: str, fps: float) -> None:
+    def _describe(self, fps: float) -> None:
         """Set what the container says of the video."""
-        stream, container = self._stream, self._container
-        suffix, names = Path(text).suffix[1:].lower(), container.format.name.split(",")
-        self.kind = f"{self.kind} ({suffix if suffix in names else 'mp4' if 'mp4' in names else names[0]})"
-        self.codec = stream.codec_context.codec.canonical_name
-        pixels = stream.codec_context.format
-        if pixels is not None and any(part.bits > 8 for part in pixels.components):
-            self.codec += f" ({pixels.name})"
-        unit = stream.time_base or Fraction(1, av.time_base)
-        self._unit_ns = unit.numerator * 10**9, unit.denominator
-        rate = stream.average_rate or stream.guessed_rate
-        self._fps = float(rate) if rate and 0 < rate < 10_000 else fps
-        self._coded_order = "avi" in names  # of its times
-        self._times = True
-        no_times: Any = av.format.Flags.no_timestamps
-        if container.format.flags & no_times.value and not stream.codec_context.framerate:
-            self._times, self._fps = False, fps
+        self._said = said = describe(self._container, self._stream, self._input.suffix[1:])
+        self.kind, self.codec = f"{self._input.kind} ({said.format})", said.codec
+        self._unit_ns = said.unit.numerator * 10**9, said.unit.denominator
+        self._fps = said.fps or fps
+        if not said.timed:
             self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
-        duration_s = None
-        if stream.duration:
-            duration_s = float(stream.duration * unit)
-        elif container.duration and container.duration > 0:
-            duration_s = container.duration / av.time_base
-        stated = stream.frames
-        timed = None if duration_s is None else round(duration_s * self._fps)
-        if timed is not None and (stated <= 0 or ("mp4" in names and timed < stated)):  # hidden pictures count there
-            stated = timed
-        self.frame_count = stated if 0 < stated < 1e9 and self._pipe is None else None
-        self.last_stamp_ns = None
-        if self.frame_count is not None and duration_s is not None:
-            self.last_stamp_ns = max(round((duration_s - 1 / self._fps) * 1e9), 0)
+        if self._input.unsized:
+            self.notes.append("the server does not say how long the file is: its name says that it is a recording")
+
+    def _count(self) -> None:
+        """Set how many frames there are and when the last is, behind the first."""
+        count = last_ns = None
+        if self._input.pipe is None and self._said.indexed:
+            count, last_ns = self._said.end(float((self._first.key or 0) * self._said.unit))
+        elif self._input.way == "file" and self._first.key is not None:
+            count, last_ns, self._joined = counted(self._input.open(), self._stream.index, self._said, self._first.key)
+        self._stated = count or 0
+        self.frame_count, self.last_stamp_ns = count, last_ns
 
     def _reopen(self) -> None:
         self._container.close()
-        self._container = self._open()
-        self._stream = self._video_stream()
+        self._container = self._input.open()
+        self._stream = video_stream(self._container, self._input.title)
         self._begin()
 
     def _begin(self) -> None:
         """Read a container from its begin."""
-        self._stream.thread_type = "AUTO"
-        self._stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
         self._position = 0  # frames passed, damaged ones included
+        self._jpeg_orientation = 1
         self._last: tuple[int, int] | None = None  # index and stamp of the latest frame
         self._restart()
 
     def _restart(self) -> None:
         self._waiting: list[int] = []  # times of the packets whose pictures have not come, a heap
         self._newest: int | None = None
+        self._clock: int | None = None  # of the latest packet
+        self._shift = 0  # of the times behind where it stepped back
         self._damaged = 0  # packets whose pictures will not come
         self._error = ""
         self._pictures = self._decoded()
@@ -277,6 +178,7 @@ class VideoSource(Source):
         """The pictures that are whole."""
         failed = 0
         packets = self._container.demux(self._stream)
+        broken = ""
         while True:
             packet: Any = None
             try:
@@ -287,31 +189,35 @@ class VideoSource(Source):
                 failed = 0
             except av.error.InvalidDataError as error:
                 failed += 1
-                self._error = _reason(error)
+                self._error = reason_of(error)
                 self._damaged += 1
                 if failed == _MAX_FAILED_READS:
                     return
                 packets = self._container.demux(self._stream)
                 continue
             except (av.FFmpegError, OSError) as error:
-                self._raise_interrupt()
-                raise InputError(f"cannot read more of {self._title}: {_reason(error)}") from None
+                broken = reason_of(error)
             if packet is not None and not packet.size:  # which a decoder would take for the end
                 continue
+            if packet is not None:
+                self._continue(packet)
             if packet is not None and not packet.is_discard:
                 self._damaged += packet.is_corrupt
-                key = packet.dts if packet.pts is None or self._coded_order else packet.pts
+                key = packet.dts if packet.pts is None or self._said.coded_order else packet.pts
                 if key is None and self._newest is not None:  # damage has taken its time
                     key = self._newest + 1
                 if key is not None:
                     heapq.heappush(self._waiting, key)
                 self._newest = key
+                if self._stream.codec_context.name == "mjpeg":
+                    with suppress(UndecodableError):
+                        self._jpeg_orientation = read_header(bytes(packet)).exif
             try:
                 frames = self._stream.codec_context.decode(packet)
             except av.error.EOFError:
                 return
             except av.FFmpegError as error:
-                self._error = _reason(error)
+                self._error = reason_of(error)
                 self._damaged += 1
                 frames = []
             for frame in frames:
@@ -321,7 +227,10 @@ class VideoSource(Source):
                 else:
                     yield frame
             if packet is None:
-                self._raise_interrupt()
+                self._input.raise_interrupt()
+                whole = self._position >= self._stated if self._stated else self._input.unsized
+                if broken and not whole:
+                    raise InputError(f"cannot read more of {self._input.title}: {broken}")
                 return
 
     def _read(self) -> _Picture | None:
@@ -329,14 +238,32 @@ class VideoSource(Source):
         frame = next(self._pictures, None)
         if frame is None:
             return None
-        key: int | None = frame.dts if frame.pts is None or self._coded_order else frame.pts
+        key: int | None = frame.dts if frame.pts is None or self._said.coded_order else frame.pts
         passed = 0
         while key is not None and self._waiting and self._waiting[0] <= key:
             passed += heapq.heappop(self._waiting) < key
+        if passed and not (self._position or self._damaged or self._said.coded_order):
+            note = f"the video begins between key frames: its first {passed} pictures cannot be decoded"
+            self.notes += [note] if note not in self.notes else []
         # without damage these were no frames: the other halves of interlaced ones, or pictures to predict from
         self._skip(self._damaged if key is None else passed if self._damaged else 0)
         self._position += 1
         return _Picture(key, frame)
+
+    def _continue(self, packet: Any) -> None:
+        """Move a packet's times to where they would be if the stream's clock had not stepped back before."""
+        if packet.dts is None:
+            return
+        dts = packet.dts + self._shift
+        if self._clock is not None and (seconds := self._said.step_back(self._clock, dts)):
+            step = self._clock - dts + max(round(1 / (self._fps * self._said.unit)), 1)
+            self._shift, dts = self._shift + step, dts + step
+            self.notes.append(
+                f"times step back by {seconds:.3g} s, as where videos are joined: they are taken to go on"
+            )
+        packet.dts = self._clock = dts
+        if packet.pts is not None:
+            packet.pts += self._shift
 
     def _skip(self, lost: int) -> None:
         if lost:
@@ -361,34 +288,8 @@ class VideoSource(Source):
         ns, unit = self._unit_ns
         return (2 * (found.key - self._origin) * ns + unit) // (2 * unit)
 
-    def _image(self, frame: VideoFrame) -> Image:
-        name = frame.format.name
-        if name.startswith("gray") and "f" not in name:
-            target = "gray" if frame.format.components[0].bits == 8 else "gray16le"
-        else:
-            target = "bgr24"
-        # the interpolation is that of chroma, for pixels like those of OpenCV
-        made = self._reformatter.reformat(frame, format=target, interpolation=Interpolation.BICUBIC)
-        plane: Any = made.planes[0]
-        depth = np.uint16 if target == "gray16le" else np.uint8
-        rows = np.frombuffer(plane, depth).reshape(frame.height, -1)
-        channels = 3 if target == "bgr24" else 1
-        image: Any = np.ascontiguousarray(rows[:, : frame.width * channels])
-        if made is frame and image.base is not None:  # the decoder's own memory
-            image = image.copy()
-        if channels == 3:
-            image = image.reshape(frame.height, frame.width, 3)
-        return upright(image, self._exif(frame)) if self._autorotate else image
-
-    def _exif(self, frame: VideoFrame) -> int:
-        """How the picture is to be turned, as EXIF numbers it."""
-        data: Any = frame.side_data.get("DISPLAYMATRIX")
-        if data is None:
-            return 1
-        across, down, to_across, to_down = np.frombuffer(bytes(data), np.int32)[[0, 1, 3, 4]].tolist()
-        if abs(across) >= abs(down):
-            return {(False, False): 1, (True, False): 2, (True, True): 3, (False, True): 4}[across < 0, to_down < 0]
-        return {(False, False): 5, (False, True): 6, (True, True): 7, (True, False): 8}[down < 0, to_across < 0]
+    def _orientation(self, frame: VideoFrame) -> int:
+        return orientation_of(frame, self._jpeg_orientation)
 
     def _read_near(self, start_ns: int) -> _Picture | None:
         """A picture at or shortly before start_ns, in the last resort the first."""
@@ -417,64 +318,17 @@ class VideoSource(Source):
         """
         if self._damaged:
             self._skip(len(self._waiting))
-        stated = self.frame_count or 0
+        stated = self._stated
         seconds = 0.0 if self._last is None else self._last[1] / 1e9
         lost = min(stated - self._position, round(stated - 1 - seconds * self._fps))
         if lost > (3 if self._stream.codec_context.has_b_frames else 1) + 0.02 * stated:
             self._skips.add(f"frame {self._position}, where the file ends", lost)
 
-    def _unpipeable(self) -> str:
-        if self._pipe is None or self._pipe.start[4:8] != b"ftyp":
-            return ""
-        return f"{self._title} sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS"
-
     def _nothing(self) -> str:
-        if reason := self._unpipeable():
+        if reason := self._input.unpipeable():
             return reason
         codec = self._stream.codec_context
         if codec.width * codec.height > MOST_PIXELS:
-            return f"{self._title} holds pictures of {codec.width}x{codec.height}, more than {MOST_PIXELS} pixels"
+            return f"{self._input.title} holds pictures of {codec.width}x{codec.height}, more than {MOST_PIXELS} pixels"
         why = f" ({self._error})" if self._error else ""
-        return f"{self._title} holds {self.codec} video, but no readable video frame{why}: give a video file"
-
-    def _raise_interrupt(self) -> None:
-        if self._pipe is not None and self._pipe.interrupt is not None:
-            raise self._pipe.interrupt
-
-
-class _Pipe:
-    """A pipe as FFmpeg reads it: `stopped` ends it, from any thread, and so does Ctrl-C."""
-
-    def __init__(self, path: str) -> None:
-        self.stopped = threading.Event()
-        self.interrupt: KeyboardInterrupt | None = None  # no exception passes through FFmpeg
-        try:
-            self._file = open(path, "rb", buffering=0)  # noqa: PTH123, SIM115  closed with the pipe
-        except OSError as error:
-            raise InputError(f"cannot read from '{path}': {error.strerror}") from None
-        self.start = self._ahead = self._take(1 << 12)
-
-    def read(self, size: int) -> bytes:
-        try:
-            if self._ahead:
-                data, self._ahead = self._ahead[:size], self._ahead[size:]
-                return data
-            return self._take(size)
-        except KeyboardInterrupt as interrupt:
-            self.interrupt = interrupt
-            return b""
-
-    def close(self) -> None:
-        self._file.close()
-
-    def _take(self, size: int) -> bytes:
-        """What there is, up to so many bytes, as soon as there is any; none at the end."""
-        while not self.stopped.is_set():
-            if select.select([self._file], [], [], _POLL_S)[0]:
-                return self._file.read(size) or b""
-        return b""
-
-
-def _reason(error: Exception) -> str:
-    """Why, without the address, which may carry a password."""
-    return str(getattr(error, "strerror", "") or type(error).__name__)
+        return f"{self._input.title} holds {self.codec} video, but no readable video frame{why}: give a video file"

@@ -167,6 +167,11 @@ class SelectedFrames(WrappedSource):
         count = math.ceil(count / self._stride)
         return count if self._max_frames is None else min(count, self._max_frames)
 
+    @property
+    def last_stamp_ns(self) -> int | None:
+        whole = self._stride == 1 and self._max_frames is None and self._end_ns is None
+        return self._source.last_stamp_ns if whole else None
+
     def seek(self, start_s: float) -> None:
         """It begins where it was told to."""
 

@@ -20,19 +20,26 @@ import cv2
 import numpy as np
 import pytest
 import zstandard
+from PIL import Image
 
 from airline.errors import InputError
 from frontend.cli import wiring
 from frontend.cli.info import describe
 from frontend.cli.settings import RunConfig
+from frontend.protocols import Source
 from frontend.sources import kinds, live, open_source
 from frontend.sources.live import LiveSource
 from frontend.sources.video import VideoSource
 from logs.files import is_log, open_log
-from tests.helpers.command import ROOT, python, refusal
+from tests.helpers.command import ROOT, command, python, refusal
 from tests.helpers.videos import drawn, encode, number_in
 
 BAG, MCAP, SQLITE = b"#ROSBAG V2.0\n" + bytes(900), b"\x89MCAP0\r\n" + bytes(900), b"SQLite format 3\0" + bytes(900)
+
+
+def jpeg(number: int, **flags: int) -> bytes:
+    made = cv2.resize(drawn(number), (flags.get("width", 256), 120))
+    return cv2.imencode(".jpg", made, [cv2.IMWRITE_JPEG_PROGRESSIVE, flags.get("progressive", 0)])[1].tobytes()
 
 
 def zipped(name: str) -> bytes:
@@ -181,13 +188,13 @@ def test_a_named_pipe(tmp_path: Path, name: str) -> None:
 
 
 def test_what_comes_through_a_pipe_is_told_too(tmp_path: Path) -> None:
-    whole = encode(tmp_path / "clip.mp4").read_bytes()
+    whole = encode(tmp_path / "clip.mp4", crf="5").read_bytes()  # more than FFmpeg keeps in memory
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for data, says in {
         MCAP: "is a log",
-        gzip.compress(BAG): "is packed by gzip and holds a ROS 1 bag",
-        cv2.imencode(".jpg", drawn(1))[1].tobytes(): "is an image",
+        gzip.compress(BAG): "is packed by gzip and holds a ROS 1 bag: unpack it into a file, and name that",
+        jpeg(1): "is an image, no video: only videos come through a pipe: save it as a file, and name that",
         whole: "sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS",
         b"hello\n" * 99: "it is text",
         b"": "is empty",
@@ -246,3 +253,89 @@ def test_info_of_a_video(tmp_path: Path) -> None:
     assert rows["codec"] == "h264"
     assert rows["orientation"].startswith("turned by 90 degrees clockwise")
     assert rows["note"].startswith("pictures are turned by 90 degrees clockwise")
+
+
+@pytest.mark.parametrize("name", ["clip", "clip.jpg", "clip.bin", "clip.mjpeg", "clip.png"])
+@pytest.mark.parametrize("padding", [b"", bytes(100), b"\r\n"])
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_jpegs_one_after_the_other_are_a_video(tmp_path: Path, name: str, padding: bytes, progressive: int) -> None:
+    path = tmp_path / name
+    path.write_bytes(padding.join(jpeg(number, progressive=progressive) for number in range(12)))
+    for source in (open_source(path, fps=20), through_a_pipe(tmp_path, path.read_bytes(), fps=20)):
+        assert source.kind.endswith("(mjpeg)")
+        frames = list(source)
+        source.close()
+        assert [number_in(frame.image) for frame in frames] == list(range(12))
+        assert [frame.stamp_ns for frame in frames] == [50_000_000 * number for number in range(12)]
+        assert source.notes == ["the video holds no times: 20 frames/s are assumed; --fps gives another rate"]
+
+
+def through_a_pipe(folder: Path, data: bytes, fps: float) -> Source:
+    pipe = folder / "a pipe"
+    pipe.unlink(missing_ok=True)
+    os.mkfifo(pipe)
+    threading.Thread(target=pipe.write_bytes, args=(data,), daemon=True).start()
+    return open_source(pipe, fps=fps)
+
+
+def test_a_still_with_something_behind_it_is_a_still(tmp_path: Path) -> None:
+    pictures = [Image.fromarray(drawn(number)) for number in (7, 8, 9)]
+    pictures[0].save(tmp_path / "stereo.jpg", "MPO", save_all=True, append_images=pictures[1:])
+    (tmp_path / "preview.jpg").write_bytes(jpeg(7) + jpeg(8, width=128))
+    (tmp_path / "motion.jpg").write_bytes(jpeg(7) + b"\0\0\0\x18ftypmp42" + bytes(5000))
+    (tmp_path / "padded.jpg").write_bytes(jpeg(7) + bytes(5000))
+    (tmp_path / "cut.jpg").write_bytes(jpeg(7) + b"\xff\xd8\xff")
+    for path in tmp_path.glob("*.jpg"):
+        source = open_source(path)
+        assert source.kind == "one image", path.name
+        assert [number_in(frame.image) for frame in source] == [7]
+
+
+@pytest.mark.parametrize(
+    ("address", "shown"),
+    [
+        ("http://user:p@ss@host/clip.mp4", "http://host/clip.mp4"),
+        ("http://user:se/cret@host/clip.mp4", "http://host/clip.mp4"),
+        ("rtsp://user:se?c#ret@host:554/live", "rtsp://host:554/live"),
+        ("http://user@host/clip.mp4", "http://host/clip.mp4"),
+        ("http://host/clip@2x.mp4", "http://host/clip@2x.mp4"),
+        ("http://host:80/video?user=me&pwd=secret", "http://host:80/video?..."),
+        ("/folder/a@b.mp4", "/folder/a@b.mp4"),
+    ],
+)
+def test_no_password_is_shown(address: str, shown: str) -> None:
+    assert kinds.without_password(address) == shown
+
+
+def test_file_urls_of_every_form(tmp_path: Path) -> None:
+    path = encode(tmp_path / "a b#1.mp4", count=3)
+    quoted = str(path).replace(" ", "%20").replace("#", "%23")
+    for form in ("file://{}", "FILE://{}", "file:{}", "File://localhost{}"):
+        for name in (quoted, path):
+            source = open_source(form.format(name))
+            assert (source.kind, len(list(source))) == ("video file (mp4)", 3)
+    assert kinds.local_name("HTTP://Host/Clip.MP4") == "http://Host/Clip.MP4"
+
+
+@pytest.mark.parametrize("name", ["*.mp4", "%06d.png", "0", "/dev/video97"])
+def test_video_in_the_recording_needs_a_file_before_any_work(tmp_path: Path, name: str) -> None:
+    said = refusal(name, "--log-image", "video", "--save", tmp_path / "run.rrd")
+    assert said.startswith(f"--log-image video needs a video file as its input, not {name}: ")
+
+
+@pytest.mark.parametrize(
+    ("flags", "frames", "last", "rate"),
+    [
+        ([], "40", "1.560000000 s", "25 frames/s"),
+        (["--max-frames", "2"], "at most 2", "?", "?"),
+        (["--end", "0.1"], "at most 40", "?", "?"),
+        (["--stride", "3"], "at most 14", "?", "?"),
+        (["--start", "1"], "?", "1.560000000 s", "?"),
+    ],
+)
+def test_a_selection_claims_nothing_of_the_whole(
+    tmp_path: Path, flags: list[str], frames: str, last: str, rate: str
+) -> None:
+    shown = command(encode(tmp_path / "clip.mp4"), "--info", *flags).out
+    rows = {name: text.strip() for name, text in (line.split(":", 1) for line in shown.splitlines())}
+    assert (rows["frames"], rows["last time"], rows["rate"]) == (frames, last, rate)

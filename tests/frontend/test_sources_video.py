@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import subprocess
 import sys
 import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import suppress
+from fractions import Fraction
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +17,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from airline.errors import InputError
 from frontend.protocols import Source
@@ -469,3 +474,164 @@ def test_closing_while_another_thread_reads(tmp_path: Path) -> None:
         thread.join(10)
         assert not thread.is_alive()
     assert list(VideoSource(path))[-1].index == 59
+
+
+def with_exif(number: int, exif: int) -> bytes:
+    """A JPEG of `drawn` as a camera writes it, with EXIF data."""
+    file, data = io.BytesIO(), Image.Exif()
+    data[0x010F], data[0x0112] = "a camera", exif
+    Image.fromarray(drawn(number)[:, :, ::-1]).save(file, "JPEG", quality=95, exif=data)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("exif", [1, 2, 6, 7])
+@pytest.mark.parametrize("suffix", ["avi", "mov", "mkv", "mjpeg"])
+def test_jpegs_with_exif_data_are_turned_as_in_folders(tmp_path: Path, suffix: str, exif: int) -> None:
+    jpegs = [with_exif(number, exif) for number in range(8)]
+    path = tmp_path / f"clip.{suffix}"
+    with av.open(str(path), "w") as file:
+        stream: Any = file.add_stream("mjpeg", rate=25)
+        stream.height, stream.width, stream.pix_fmt = 120, 256, "yuvj420p"
+        for number, jpeg in enumerate(jpegs):
+            packet = av.Packet(jpeg)
+            packet.pts = packet.dts = number
+            packet.time_base, packet.stream, packet.is_keyframe = Fraction(1, 25), stream, True
+            file.mux(packet)
+        file.mux([])
+    (tmp_path / "one.jpg").write_bytes(jpegs[0])
+    (still,) = open_source(tmp_path / "one.jpg")
+    source = open_source(path, fps=25)
+    frames = list(source)
+    assert frames[0].image.shape == still.image.shape
+    assert np.corrcoef(frames[0].image.ravel(), still.image.ravel())[0, 1] > 0.97
+    assert [frame.stamp_ns for frame in frames] == [number * PERIOD_NS for number in range(8)]
+    assert ("EXIF" in source.orientation) == (exif != 1)
+    stored = [frame.image for frame in open_source(path, fps=25, autorotate=False)]
+    assert [number_in(image) for image in stored] == list(range(8))
+
+
+def transport(path: Path, begin: int, count: int = 10, jump: int = 0) -> bytes:
+    """MPEG-TS at 25 frames/s from a time on, in 1/90000 s, which may jump behind the fifth picture."""
+    times = [begin + 3600 * k + (jump if k >= 5 else 0) for k in range(count)]
+    with av.open(str(path), "w", options={"muxdelay": "0"}) as file:
+        stream: Any = file.add_stream("libx264", rate=25, options={"bf": "0"})
+        stream.height, stream.width, stream.pix_fmt = 120, 256, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 90000)
+        for number, pts in enumerate(times):
+            frame = av.VideoFrame.from_ndarray(drawn(number), format="bgr24").reformat(format="yuv420p")
+            frame.pts, frame.time_base = pts, Fraction(1, 90000)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(("first", "second", "step_s"), [(100, 5, 95.4), (5, 5, 0.36), (40, 20, 20.4)])
+def test_joined_videos_go_on_where_their_clock_steps_back(
+    tmp_path: Path, first: int, second: int, step_s: float
+) -> None:
+    path = tmp_path / "joined.ts"
+    path.write_bytes(b"".join(transport(tmp_path / "part.ts", 90000 * begin) for begin in (first, second)))
+    source = VideoSource(path)
+    assert (source.frame_count, source.last_stamp_ns) == (20, None)
+    assert content(source) == (*steps(0, 20)[:2], [*range(10), *range(10)])
+    assert source.skipped == 0
+    assert source.notes == [f"times step back by {step_s} s, as where videos are joined: they are taken to go on"]
+    later = VideoSource(path)
+    later.seek(0.2)
+    assert content(later)[1:] == (steps(5, 20)[1], [*range(5, 10), *range(10)])
+
+
+@pytest.mark.parametrize(("begin", "jump", "last_ms"), [(2**33 - 18000, 0, 360), (90000, 90000 * 3600, 3_600_360)])
+def test_a_clock_that_wraps_around_or_jumps_ahead(tmp_path: Path, begin: int, jump: int, last_ms: int) -> None:
+    transport(tmp_path / "clip.ts", begin, jump=jump)
+    source = VideoSource(tmp_path / "clip.ts")
+    assert (source.frame_count, source.last_stamp_ns) == (10, last_ms * 1_000_000)
+    _, times, numbers = content(source)
+    assert numbers == list(range(10))
+    assert times == [40 * k + (jump // 90 if k >= 5 else 0) for k in range(10)]
+    assert (source.skipped, source.notes) == (0, [])
+
+
+@pytest.mark.parametrize("name", ["clip.mkv", "clip.webm", "clip.nut", "clip.mp4", "clip.ts", "clip.mov"])
+def test_a_video_that_does_not_begin_at_zero(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    codec = "libvpx" if name.endswith("webm") else "libx264"
+    path = encode(tmp_path / name, codec, times_ms=[10_000 + 40 * k for k in range(40)])
+    source = VideoSource(path)
+    assert source.frame_count == 40
+    assert source.last_stamp_ns == pytest.approx(1_560_000_000, abs=2_000_000)
+    assert content(source) == steps(0, 40)
+    assert (source.skipped, caplog.records) == (0, [])
+
+
+@pytest.mark.parametrize("options", [{}, {"bf": "2"}])
+@pytest.mark.parametrize("suffix", ["mpg", "vob"])
+def test_program_streams_are_counted(tmp_path: Path, suffix: str, options: dict[str, str]) -> None:
+    source = VideoSource(encode(tmp_path / f"clip.{suffix}", "mpeg2video", 20, q="2", **options))
+    assert (source.frame_count, source.last_stamp_ns) == (20, 760_000_000)
+    assert content(source)[1] == steps(0, 20)[1]
+    assert source.skipped == 0
+
+
+def test_a_video_that_begins_between_key_frames(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data = encode(tmp_path / "clip.ts", count=60, g="30", bf="0", sc_threshold="0").read_bytes()
+    (tmp_path / "cut.ts").write_bytes(data[188 * 60 :])
+    source = VideoSource(tmp_path / "cut.ts")
+    assert source.frame_count == 30
+    assert content(source)[2] == list(range(30, 60))
+    assert caplog.records == []
+    (note,) = source.notes
+    assert note.startswith("the video begins between key frames: its first ")
+
+
+class Unsized(BaseHTTPRequestHandler):
+    """Serves a file without saying how long it is, and only from its begin on."""
+
+    data: bytes
+
+    def log_message(self, *_: object) -> None:
+        """Keep the test's output clean."""
+
+    def do_HEAD(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "video/mp4")
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        self.do_HEAD()
+        with suppress(OSError):  # who only looks at the begin leaves
+            self.wfile.write(self.data)
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "clip.ts", "clip.mkv"])
+def test_a_server_that_does_not_say_how_long_a_file_is(tmp_path: Path, name: str) -> None:
+    options = {"container": {"movflags": "+faststart"}} if name.endswith("mp4") else {}
+    Unsized.data = encode(tmp_path / name, bf="2", crf="5", **options).read_bytes()  # type: ignore[arg-type]
+    with ThreadingHTTPServer(("127.0.0.1", 0), Unsized) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            source = open_source(f"http://127.0.0.1:{server.server_port}/{name}", reconnect_s=0)
+            assert not source.live
+            assert source.notes == [
+                "the server does not say how long the file is: its name says that it is a recording"
+            ]
+            assert content(source) == steps(0, 40)
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_what_is_no_video_behind_a_url_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(900))
+    (tmp_path / "b.mp4.gz").write_bytes(gzip.compress(encode(tmp_path / "b.mp4", count=3).read_bytes()))
+    for name in ("c.jpg", "d.png", "e.webp"):
+        cv2.imwrite(str(tmp_path / name), drawn(1))
+    Image.fromarray(drawn(1)).save(tmp_path / "f.gif", save_all=True, append_images=[Image.fromarray(drawn(2))])
+    saying = "only videos come from a URL: save it as a file, and name that"
+    with served(tmp_path) as url:
+        for name in ("a.mcap", "c.jpg", "d.png", "e.webp", "f.gif"):
+            what = "a log" if name == "a.mcap" else "an image, no video"
+            with pytest.raises(InputError, match=f"{name}' is {what}: {saying}"):
+                open_source(f"{url}/{name}")
+        with pytest.raises(InputError, match=r"b\.mp4\.gz' is packed by gzip and holds a video: unpack it into a file"):
+            open_source(f"{url}/b.mp4.gz")
