@@ -24,7 +24,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from natsort import natsorted
+from natsort import natsorted, ns
 
 from airline.errors import ConfigError, InputError
 from frontend.sources.names import Times, plausible, since_1970, times_in
@@ -314,7 +314,19 @@ def _is_image(path: Path) -> bool:
 
 def images_in(folder: Path) -> list[Path]:
     """The images of a folder by their suffix, in natural order."""
-    return natsorted([path for path in folder.iterdir() if _is_image(path)], key=lambda path: path.name)
+    return _ordered([path for path in folder.iterdir() if _is_image(path)])
+
+
+def _ordered(images: list[Path]) -> list[Path]:
+    """Images by the numbers in their names: some below zero, or all of them hexadecimal and equally long."""
+    stems = [path.stem for path in images]
+    below_zero = {bool(re.search(r"(?<![^_ =])-\d", stem)) for stem in stems} == {True, False}
+    ends = [re.fullmatch("(.*?)([0-9a-f]+|[0-9A-F]+)", stem) for stem in stems]
+    forms = {(end[1], len(end[2])) if end else None for end in ends}
+    if len(forms) == 1 and None not in forms and not all(end and end[2].isdecimal() for end in ends):
+        return sorted(images)
+    key = ns.REAL if below_zero else ns.DEFAULT
+    return natsorted(images, key=lambda path: (str(path.parent), path.stem, path.suffix), alg=key)
 
 
 def _matching(pattern: str) -> list[Path]:
@@ -331,7 +343,7 @@ def _matching(pattern: str) -> list[Path]:
         expression = re.compile("".join(part[0] for part in parts))
         names = glob.glob("".join(part[1] for part in parts))  # noqa: PTH207
         files = [Path(name) for name in names if expression.fullmatch(name)]
-    return natsorted([file for file in files if _is_image(file)], key=str)
+    return _ordered([file for file in files if _is_image(file)])
 
 
 def is_pattern(spec: str) -> bool:

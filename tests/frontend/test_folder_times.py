@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
@@ -57,6 +59,64 @@ NAMES = {  # how a time in seconds is written, and the words for it
     "compact date": (lambda t: f"20190608_1441{int(t) - START + 25:02d}_{int(t % 1 * 10**9):09d}", "dates"),
 }
 
+MOMENT = datetime(2021, 6, 8, 12, 59, 58, 500_000)
+CLOCKS: dict[str, Callable[[datetime], str]] = {  # how the 0.25 s steps around one o'clock are written
+    "two digits": lambda d: f"{d:%Y-%m-%d_%H-%M-%S}.{d.microsecond // 10_000:02d}",
+    "seven digits": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}0Z",
+    "zeros lost": lambda d: f"{d:%Y-%m-%d %H.%M.%S.%f}".rstrip("0").rstrip("."),
+    "comma": lambda d: f"{d:%Y%m%d_%H%M%S},{d.microsecond // 10_000:02d}",
+    "letters": lambda d: f"vlcsnap-{d:%Y-%m-%d-%Hh%Mm%S}s{d.microsecond // 1000:03d}",
+    "words": lambda d: f"Screenshot {d:%Y-%m-%d at %H.%M.%S.%f}",
+    "half a day": lambda d: f"Screenshot {d:%Y-%m-%d %I.%M.%S.%f %p}",
+    "half a day, narrow": lambda d: f"{d:%Y-%m-%d at} {d.hour % 12 or 12}{d:.%M.%S.%f}\u202f{d:%p}".lower(),
+    "day of the year": lambda d: f"{d:%Y-%j-%H-%M-%S.%f}",
+    "offset": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}+0200",
+    "clock": lambda d: f"{d:%H_%M_%S.%f}",
+    "clock of points": lambda d: f"{d:%H.%M.%S.%f}",
+    "minutes": lambda d: f"clip_{d + timedelta(minutes=-30):%M-%S}.{d.microsecond // 1000:03d}",
+}
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_dates_and_clocks_in_names(tmp_path: Path, form: str) -> None:
+    write_numbered(tmp_path, [f"{CLOCKS[form](MOMENT + timedelta(seconds=k / 4))}.png" for k in range(12)])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(12))
+    assert [stamp - stamps[0] for stamp in stamps] == [k * 10**9 // 4 for k in range(12)]
+    words = "hours, minutes and seconds" if form in ("clock", "clock of points", "minutes") else "dates"
+    assert said(source, f"taken for {words} by")
+    if words == "dates":
+        assert stamps[0] == int(MOMENT.replace(tzinfo=UTC).timestamp() * 10) * 10**8
+
+
+def test_one_digit_of_a_second(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"2019-06-08T14-41-{k // 10}.{k % 10}.png".replace("-41-", "-41-5") for k in range(95)])
+    assert read(tmp_path)[1][-1] - read(tmp_path)[1][0] == 9_400_000_000
+
+
+@pytest.mark.parametrize("unit", [10**6, 10**9])
+def test_seconds_and_their_parts_without_zeros(tmp_path: Path, unit: int) -> None:
+    """A part of 33 ms is printed as .33, as one of 330 ms is: only one of the two makes even steps."""
+    stamps = [START * unit + unit * 9 // 10 + k * unit // 30 for k in range(10)]
+    write_numbered(tmp_path, [f"{stamp // unit}.{stamp % unit}.png" for stamp in stamps])
+    numbers, read_, source = read(tmp_path)
+    assert (numbers, read_) == (list(range(10)), [stamp * (10**9 // unit) for stamp in stamps])
+    assert said(source, f"seconds and {'micro' if unit == 10**6 else 'nano'}seconds")
+
+
+def test_milliseconds_with_decimals(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"_Color_{START * 1000 + 40 * k}.165039.png" for k in range(4)])
+    numbers, stamps, source = read(tmp_path)
+    assert (numbers, stamps) == ([0, 1, 2, 3], [START * 10**9 + 40_000_000 * k + 165_039 for k in range(4)])
+    assert said(source, "decimal milliseconds")
+
+
+def test_times_before_zero(tmp_path: Path) -> None:
+    for word in ("", "frame_"):
+        write_numbered(tmp_path / f"x{word}", [f"{word}{k / 10}.png" for k in range(-3, 3)])
+        numbers, stamps, _ = read(tmp_path / f"x{word}")
+        assert (numbers, stamps) == (list(range(6)), [k * 10**8 for k in range(-3, 3)])
+
 
 @pytest.mark.parametrize("form", NAMES)
 def test_times_in_names(tmp_path: Path, form: str) -> None:
@@ -99,6 +159,10 @@ def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
         [f"{START}_{k:06d}" for k in range(12)],  # when the recording began, and a counter
         [f"{START}_{k}" for k in range(12)],
         [f"20190608_144125_{k:03d}" for k in range(12)],
+        [f"20190608_14412{k // 5}_{k % 5:03d}" for k in range(12)],  # a counter in each second
+        [f"{START + k // 5}-{k % 5:03d}" for k in range(12)],
+        [f"fc2_save_2019-06-08-14412{k // 5}-{k:04d}" for k in range(12)],
+        ["2021-06-08 14.41.20", *(f"2021-06-08 14.41.20-{k}" for k in range(1, 12))],
         [f"2019-06-08 {k}" for k in range(12)],
         [f"{START * 1000}_{k}" for k in range(12)],
         [f"{k:010d}" for k in range(12)],
@@ -177,6 +241,22 @@ def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
     assert stamps == [int(t * 10**9) for t in times]
     assert source.kind == f"images with times in '{table}'"
     assert said(source, f"times are from '{table}'")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{k:04x}" for k in range(8, 20)],
+        [f"frame_{START * 10**9 + k * 33_333_333:016X}" for k in range(12)],
+        [f"{k}" for k in range(-6, 6)],
+        [f"shot_{k}" for k in range(-12, 0, 2)] + [f"shot_{k}" for k in range(6)],
+        ["x0", "x0(0)", "x0-1", *(f"x{k}" for k in range(1, 10))],
+    ],
+)
+def test_numbers_in_names_order_images(tmp_path: Path, names: list[str]) -> None:
+    write_numbered(tmp_path, [f"{name}.jpg" for name in names])
+    assert read(tmp_path)[0] == list(range(12))
+    assert read(tmp_path / "*.jpg")[0] == list(range(12))
 
 
 def test_a_table_that_lists_fewer_images(tmp_path: Path) -> None:
