@@ -224,6 +224,114 @@ TABLES = {  # name, rows, with the stamps of 0.1 s steps
 }
 
 
+OTHER_TABLES = {  # of images 0000.png and so on in "images", with the stamps of 0.1 s steps
+    "frames.csv": ["frame,ts", "{k},{t}"],
+    "stems.csv": ["{k:04d},{t}"],
+    "quoted.csv": ['"name","time"', '"{k:04d}.png","{t}"'],
+    "converted.txt": ["{k:04d}.jpg {t}"],
+    "far.csv": ["/home/me/set/{k:04d}.png,{t}"],
+    "drive.csv": ["C:\\set\\{k:04d}.png;{t}"],
+    "date.csv": ["{k:04d}.png,{date}Z"],
+    "date.txt": ["{date} {k:04d}.png"],
+    "zone.csv": ["{date}+00:00\t{k:04d}.png"],
+    "after.csv": ["name,exposure_time_ms,stamp", "{k:04d}.png,10.{k},{t}"],
+    "gains.csv": ["{k:04d}.png,{k}.5,{us},10.5"],
+    "../timestamps.txt": ["{date}"],
+    "../times.csv": ["time", "{t}"],
+    "../times.txt": ["{k} 0.01{k} {t}"],
+    "timestamps.txt": ["frame exposure time", "{k} 0.01{k} {t}"],
+}
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("table", OTHER_TABLES)
+def test_the_column_of_times(tmp_path: Path, table: str, backwards: bool) -> None:
+    folder = tmp_path / "images"
+    write_numbered(folder, [f"{k:04d}.png" for k in range(8)])
+    *heading, row = OTHER_TABLES[table]
+    rows = [row.format(k=k, t=f"{START}.{k}", us=f"{START}{k}00000", date=f"2019-06-08 14:41:25.{k}") for k in range(8)]
+    if backwards and "{k" in row:
+        rows.reverse()
+    (folder / table).write_text("\n".join([*heading, *rows]))
+    numbers, stamps, source = read(folder)
+    assert numbers == list(range(8))
+    assert stamps[0] // 10**9 in (START, int(datetime(2019, 6, 8, 14, 41, 25, tzinfo=UTC).timestamp()))
+    assert [stamp - stamps[0] for stamp in stamps] == [k * 10**8 for k in range(8)]
+    assert f"'{Path(table).name}'" in source.kind or source.kind == "KITTI sequence"
+
+
+def test_the_unit_of_a_heading(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "index.csv").write_text("file;time [ms]\n" + "".join(f"{k:04d}.png;{40 * k}\n" for k in range(8)))
+    assert read(tmp_path)[1] == [40_000_000 * k for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["{k:04d}.png,47.10{k},8.10{k},40{k}"],
+        ["name,lat,lon", "{k:04d}.png,47.10{k},8.10{k}"],
+        ["{k:04d}.png 1.0{k} 2.0{k} 3"],
+        ["{k} 0.5 0.5 0.1{k} 0.1"],
+        ["{k:04d}.png,0.{other}"],
+        ["{k:04d}.png {k}"],
+    ],
+)
+def test_places_and_scores_are_no_times(tmp_path: Path, rows: list[str]) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    text = "\n".join([*rows[:-1], *(rows[-1].format(k=k, other=k * 5 % 8) for k in range(8))])
+    (tmp_path / "numbers.csv").write_text(text)
+    assert said(read(tmp_path)[2], FPS_NOTE)
+
+
+def test_times_above_that_are_of_other_images(tmp_path: Path) -> None:
+    write_numbered(tmp_path / "images", [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "timestamps.txt").write_text("1\n2\n3\n")
+    source = read(tmp_path / "images")[2]
+    assert said(source, "times above are not taken: ")
+    assert said(source, FPS_NOTE)
+
+
+@pytest.mark.parametrize("times", ["{ns} 0.01{k}", "{ns},{k}"])
+def test_exposure_beside_names_that_are_times(tmp_path: Path, times: str) -> None:
+    stamps = [START * 10**9 + k * 10**8 + 7 for k in range(8)]
+    write_numbered(tmp_path, [f"{stamp}.png" for stamp in stamps])
+    (tmp_path / "times.txt").write_text("\n".join(times.format(ns=stamp, k=k) for k, stamp in enumerate(stamps)))
+    assert read(tmp_path)[:2] == (list(range(8)), stamps)
+
+
+def test_a_column_of_times_that_cannot_be_told_is_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "times.txt").write_text("".join(f"{k} {k / 10} 0.01\n" for k in range(8)))
+    numbers, stamps, source = read(tmp_path)
+    assert (numbers, stamps[3]) == (list(range(8)), 300_000_000)
+    assert said(source, "of the numbers of 'times.txt' those in column 2 are taken for times")
+
+
+@pytest.mark.parametrize(
+    ("table", "row"),
+    [
+        ("data.csv", "{ns} {name}"),
+        ("data.csv", "{ns}\t{name}"),
+        ("data.csv", '"{ns}" ; "{name}"'),
+        ("data.csv", "{ns}, {name}, 0.01"),
+        ("data.csv", "{ns} {name} 0.01"),
+        ("rgb.txt", "{t},{name}"),
+        ("rgb.txt", "{t} {name} 0.01"),
+    ],
+)
+@pytest.mark.parametrize("name", ["{k:03d}.png", "a picture {k:03d}.png"])
+def test_known_tables_as_other_programs_write_them(tmp_path: Path, table: str, row: str, name: str) -> None:
+    names = [name.format(k=k) for k in range(6)]
+    if "a" in name[:1] and row.endswith("} 0.01"):
+        return  # blanks in a name are no longer told from those between columns
+    write_numbered(tmp_path / "data" if table == "data.csv" else tmp_path, names)
+    rows = [row.format(ns=(START * 10 + k) * 10**8, t=f"{START}.{k}", name=name) for k, name in enumerate(names)]
+    (tmp_path / table).write_text("\n".join(rows))
+    numbers, stamps, _ = read(tmp_path)
+    assert (numbers, stamps) == (list(range(6)), [(START * 10 + k) * 10**8 for k in range(6)])
+
+
 @pytest.mark.parametrize("given", ["color", ""])
 @pytest.mark.parametrize("table", TABLES)
 def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
