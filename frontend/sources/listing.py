@@ -46,6 +46,7 @@ IMAGE_SUFFIXES = frozenset(
 )
 _LOGS = {".mcap", ".bag", ".db3"}
 _VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"}
+_UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".tga", ".raw"}
 _PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
 _LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
@@ -89,7 +90,7 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     try:
         if root.is_dir():
             images = images_in(root)
-            notes: list[str] = []
+            notes = [f"left out for their format: {_some(unread)}"] if images and (unread := _unread(root)) else []
             found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images, notes)
             listing = found or _plain(images, fps, (root, root.parent), notes)
         elif root.exists():
@@ -287,13 +288,15 @@ def _in_tables(images: list[Path], folders: tuple[Path, ...], notes: list[str]) 
                 rows = _table_of_any_name(table, known, words)
             except InputError:  # no table of times
                 continue
+            if chosen is not None and len(rows) == len(best) and rows != best:
+                said.append(f"'{table.name}' has other times than '{chosen.name}', which is taken")
             if len(rows) > len(best):
                 best, chosen, said = rows, table, words
     if chosen is None or 2 * len(best) < len(images):
         return None
     missing = len(images) - len(best)
     if missing > 0:
-        said.append(f"{missing} images are left out, for '{chosen.name}' does not list them")
+        said.append(f"left out of {len(images)} images for want of a time in '{chosen.name}': {missing}")
     said.append(f"times are from '{chosen.name}'")
     return _in_order(best, f"images with times in '{chosen.name}'", [*notes, *said])
 
@@ -341,6 +344,8 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
         ]
         rising = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(ordered))
         if kept and plausible(stamps.values()) and (rising or place is not None):
+            if place is None:
+                notes.append(f"the only numbers of '{table.name}' that rise with the images are taken for times")
             return ordered
     return []
 
@@ -372,6 +377,10 @@ def _is_image(path: Path) -> bool:
 def images_in(folder: Path) -> list[Path]:
     """The images of a folder by their suffix, in natural order."""
     return _ordered([path for path in folder.iterdir() if _is_image(path)])
+
+
+def _unread(folder: Path) -> list[str]:
+    return natsorted(path.name for path in folder.iterdir() if path.suffix.lower() in _UNREAD)
 
 
 def _ordered(images: list[Path]) -> list[Path]:

@@ -260,6 +260,23 @@ def test_the_column_of_times(tmp_path: Path, table: str, backwards: bool) -> Non
     assert f"'{Path(table).name}'" in source.kind or source.kind == "KITTI sequence"
 
 
+def test_guesses_about_tables_are_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    for name, step in (("a.csv", 0.1), ("b.csv", 0.2)):
+        (tmp_path / name).write_text("".join(f"{k:04d}.png,{3 + k * step:.1f}\n" for k in range(8)))
+    stamps, source = read(tmp_path)[1:]
+    assert stamps[1] == 3_100_000_000
+    assert said(source, "the only numbers of 'a.csv' that rise with the images")
+    assert said(source, "'b.csv' has other times than 'a.csv', which is taken")
+
+
+def test_pictures_of_formats_that_are_not_read_are_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, ["thumb.jpg"])
+    for k in range(5):
+        (tmp_path / f"{k}.JP2").touch()
+    assert said(read(tmp_path)[2], "left out for their format: '0.JP2', '1.JP2', '2.JP2' and 2 more")
+
+
 def test_the_unit_of_a_heading(tmp_path: Path) -> None:
     write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
     (tmp_path / "index.csv").write_text("file;time [ms]\n" + "".join(f"{k:04d}.png;{40 * k}\n" for k in range(8)))
@@ -373,7 +390,7 @@ def test_a_table_that_lists_fewer_images(tmp_path: Path) -> None:
     numbers, stamps, source = read(tmp_path)
     assert numbers == list(range(1, 11))
     assert stamps[1] - stamps[0] == 250_000_000
-    assert said(source, "2 images are left out, for 'list.txt' does not list them")
+    assert said(source, "left out of 12 images for want of a time in 'list.txt': 2")
     (tmp_path / "list.txt").write_text("1560004885.5 1.png\n")
     assert len(read(tmp_path)[0]) == 12
 
