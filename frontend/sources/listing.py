@@ -314,7 +314,8 @@ def _known(images: list[Path]) -> dict[str, Path]:
 def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) -> list[ImageRow]:
     """Rows of a name and a time, or pairs "time  name" of colour and depth; [] for another kind of table.
 
-    The times are dates, since 1970, or have a heading that says so, or are the only numbers and rise with the images.
+    The times are dates, since 1970, or have a heading that says so, or are the only numbers of a table without headings
+    and rise with the images.
     """
     heading, rows = split_heading([fields_of(line) for line in lines_of(table)])
     if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
@@ -322,14 +323,14 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
     columns = list(zip(*rows, strict=True))
     names = [column for column, texts in enumerate(columns) if _is_image_name(texts[0])]
     for column in names or range(len(columns) if known else 0):
-        if says_depth(Path(columns[column][0])):
+        if says_depth(Path(columns[column][0])) or (not names and len(set(columns[column])) < len(rows)):
             continue
         near = [c for c in range(len(columns)) if c not in names and c != column]
         if len(names) > 1:
             near = [c for c in (column - 1, column + 1) if c in near]
         place = _time_column([columns[c] for c in near], [heading[c] for c in near] if heading else [])
         numbers = [c for c in near if all(map(is_number, columns[c])) and not _are_counters(columns[c])]
-        if place is None and len(numbers) != 1:
+        if place is None and (heading or len(numbers) != 1):
             continue
         chosen = numbers[0] if place is None else near[place]
         kept: dict[Path, str] = {}

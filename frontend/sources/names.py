@@ -170,7 +170,7 @@ def _date(name: str, *, whole: bool) -> _Found | None:
 
 
 def _clock(name: str) -> _Found | None:
-    found = _CLOCK.search(name)
+    *_, found = None, *_CLOCK.finditer(name)
     if found is None:
         return None
     stamp = exact_ns(found[3].replace(",", "."), SECOND)

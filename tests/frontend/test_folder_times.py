@@ -15,6 +15,7 @@ import pytest
 from airline.errors import InputError
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
+from tests.helpers.command import command
 from tests.helpers.numbered import number_of, numbered, write_numbered
 
 START = 1560004885
@@ -73,6 +74,7 @@ CLOCKS: dict[str, Callable[[datetime], str]] = {  # how the 0.25 s steps around 
     "offset": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}+0200",
     "clock": lambda d: f"{d:%H_%M_%S.%f}",
     "clock of points": lambda d: f"{d:%H.%M.%S.%f}",
+    "day first": lambda d: f"{d:%d.%m.%Y %H-%M-%S.%f}",
     "minutes": lambda d: f"clip_{d + timedelta(minutes=-30):%M-%S}.{d.microsecond // 1000:03d}",
 }
 
@@ -83,7 +85,7 @@ def test_dates_and_clocks_in_names(tmp_path: Path, form: str) -> None:
     numbers, stamps, source = read(tmp_path)
     assert numbers == list(range(12))
     assert [stamp - stamps[0] for stamp in stamps] == [k * 10**9 // 4 for k in range(12)]
-    words = "hours, minutes and seconds" if form in ("clock", "clock of points", "minutes") else "dates"
+    words = "hours, minutes and seconds" if form in ("clock", "clock of points", "day first", "minutes") else "dates"
     assert said(source, f"taken for {words} by")
     if words == "dates":
         assert stamps[0] == int(MOMENT.replace(tzinfo=UTC).timestamp() * 10) * 10**8
@@ -116,6 +118,7 @@ def test_times_before_zero(tmp_path: Path) -> None:
         write_numbered(tmp_path / f"x{word}", [f"{word}{k / 10}.png" for k in range(-3, 3)])
         numbers, stamps, _ = read(tmp_path / f"x{word}")
         assert (numbers, stamps) == (list(range(6)), [k * 10**8 for k in range(-3, 3)])
+        assert "first time:  -0.300000000 s\n" in command(tmp_path / f"x{word}", "--info").out
 
 
 @pytest.mark.parametrize("form", NAMES)
@@ -292,6 +295,8 @@ def test_the_unit_of_a_heading(tmp_path: Path) -> None:
         ["{k} 0.5 0.5 0.1{k} 0.1"],
         ["{k:04d}.png,0.{other}"],
         ["{k:04d}.png {k}"],
+        ["frame,x", "{k},5.{k}"],
+        ["\n".join(f"0.{n:02d} {n % 8} {n % 3} 1" for n in range(40)) + "\n0.9{k} {k} 1 1"],  # events
     ],
 )
 def test_places_and_scores_are_no_times(tmp_path: Path, rows: list[str]) -> None:
