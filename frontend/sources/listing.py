@@ -50,6 +50,7 @@ _UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf
 _PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
 _LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
+_SOME_LINES = 50  # tell a table of times from others, of which there may be many
 _EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
 _OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
 
@@ -307,7 +308,8 @@ def _known(images: list[Path]) -> dict[str, Path]:
     for path in images:
         known.setdefault(path.stem, path)
     for path in images:
-        known.setdefault(str(_whole(path.stem)), path)
+        if (number := _whole(path.stem)) is not None:
+            known.setdefault(str(number), path)
     return known
 
 
@@ -317,11 +319,37 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
     The times are dates, since 1970, or have a heading that says so, or are the only numbers of a table without headings
     and rise with the images.
     """
-    heading, rows = split_heading([fields_of(line) for line in lines_of(table)])
-    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
+    lines = lines_of(table)
+    if len(lines) > _SOME_LINES and not _named_and_timed(lines[:_SOME_LINES], known)[1]:
         return []
+    columns, pairs = _named_and_timed(lines, known)
+    for column, chosen, unit in pairs:
+        kept: dict[Path, str] = {}
+        for name, text in zip(columns[column], columns[chosen], strict=True):
+            path = _beside(name, table, known)
+            if path is not None:
+                kept.setdefault(path, text)
+        stamps = dict(zip(kept, stamps_of(list(kept.values()), table, unit or "seconds", notes), strict=True))
+        images = dict.fromkeys(known.values() if known else kept)
+        ordered = [ImageRow(path, stamps[path]) for path in images if path in kept]
+        rising = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(ordered))
+        if kept and plausible(stamps.values()) and (rising or unit):
+            if not unit:
+                notes.append(f"the only numbers of '{table.name}' that rise with the images are taken for times")
+            return ordered
+    return []
+
+
+def _named_and_timed(
+    lines: list[str], known: dict[str, Path]
+) -> tuple[list[tuple[str, ...]], list[tuple[int, int, str]]]:
+    """The columns of a table; which may name images, which their times, and the unit, "" where all that is a guess."""
+    heading, rows = split_heading([fields_of(line) for line in lines])
+    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
+        return [], []
     columns = list(zip(*rows, strict=True))
     names = [column for column, texts in enumerate(columns) if _is_image_name(texts[0])]
+    pairs = []
     for column in names or range(len(columns) if known else 0):
         if says_depth(Path(columns[column][0])) or (not names and len(set(columns[column])) < len(rows)):
             continue
@@ -330,25 +358,11 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
             near = [c for c in (column - 1, column + 1) if c in near]
         place = _time_column([columns[c] for c in near], [heading[c] for c in near] if heading else [])
         numbers = [c for c in near if all(map(is_number, columns[c])) and not _are_counters(columns[c])]
-        if place is None and (heading or len(numbers) != 1):
-            continue
-        chosen = numbers[0] if place is None else near[place]
-        kept: dict[Path, str] = {}
-        for name, text in zip(columns[column], columns[chosen], strict=True):
-            path = _beside(name, table, known)
-            if path is not None:
-                kept.setdefault(path, text)
-        unit = unit_said(heading[chosen]) if heading else ""
-        stamps = dict(zip(kept, stamps_of(list(kept.values()), table, unit or "seconds", notes), strict=True))
-        ordered = [
-            ImageRow(path, stamps[path]) for path in dict.fromkeys(known.values() if known else kept) if path in kept
-        ]
-        rising = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(ordered))
-        if kept and plausible(stamps.values()) and (rising or place is not None):
-            if place is None:
-                notes.append(f"the only numbers of '{table.name}' that rise with the images are taken for times")
-            return ordered
-    return []
+        if place is not None:
+            pairs.append((column, near[place], (unit_said(heading[near[place]]) if heading else "") or "seconds"))
+        elif not heading and len(numbers) == 1:
+            pairs.append((column, numbers[0], ""))
+    return columns, pairs
 
 
 def _are_counters(texts: Sequence[str]) -> bool:

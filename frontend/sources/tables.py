@@ -33,7 +33,8 @@ def lines_of(table: Path) -> list[str]:
 
 def fields_of(line: str) -> list[str]:
     """What commas, semicolons or tabs separate, else blanks; without quotes, and a date as one."""
-    line = _DATE.sub(lambda date: f"{date[1]}T{date[2]}.{date[3] or 0}{date[4] or ''}", line)
+    if ":" in line:
+        line = _DATE.sub(lambda date: f"{date[1]}T{date[2]}.{date[3] or 0}{date[4] or ''}", line)
     return [field.strip("\"' ") for field in re.split(r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+", line)]
 
 

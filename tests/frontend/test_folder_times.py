@@ -296,6 +296,7 @@ def test_the_unit_of_a_heading(tmp_path: Path) -> None:
         ["{k:04d}.png,0.{other}"],
         ["{k:04d}.png {k}"],
         ["frame,x", "{k},5.{k}"],
+        ["{other}th,5.{k}"],
         ["\n".join(f"0.{n:02d} {n % 8} {n % 3} 1" for n in range(40)) + "\n0.9{k} {k} 1 1"],  # events
     ],
 )
