@@ -112,7 +112,7 @@ def _rate_hz(source: Source, first: Frame) -> float | None:
 
 
 def _time(stamp_ns: int) -> str:
-    seconds = f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} s"
+    seconds = f"{'-' * (stamp_ns < 0)}{abs(stamp_ns) // 10**9}.{abs(stamp_ns) % 10**9:09d} s"
     if not _DATES_NS[0] <= stamp_ns < _DATES_NS[1]:
         return seconds
     return f"{seconds} ({datetime.fromtimestamp(stamp_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC)"

@@ -20,16 +20,25 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from statistics import median
 from typing import NamedTuple
 
-from natsort import natsorted
+from natsort import natsorted, ns
 
 from airline.errors import ConfigError, InputError
-from frontend.sources.names import Times, plausible, since_1970, times_in
+from frontend.sources.names import Times, plausible, times_in
 from frontend.sources.streams import choose_frames, says_depth
-from frontend.sources.tables import fields_of, inside, is_number, lines_of, stamps_of, without_heading
+from frontend.sources.tables import (
+    are_dates_or_since_1970,
+    fields_of,
+    inside,
+    is_number,
+    lines_of,
+    split_heading,
+    stamps_of,
+    unit_said,
+)
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".dib", ".tif", ".tiff", ".webp"}
@@ -37,9 +46,11 @@ IMAGE_SUFFIXES = frozenset(
 )
 _LOGS = {".mcap", ".bag", ".db3"}
 _VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"}
+_UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".tga", ".raw"}
 _PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
 _LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
+_SOME_LINES = 50  # tell a table of times from others, of which there may be many
 _EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
 _OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
 
@@ -80,14 +91,15 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     try:
         if root.is_dir():
             images = images_in(root)
-            found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images)
-            listing = found or _plain(images, fps, (root, root.parent))
+            notes = [f"left out for their format: {_some(unread)}"] if images and (unread := _unread(root)) else []
+            found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images, notes)
+            listing = found or _plain(images, fps, (root, root.parent), notes)
         elif root.exists():
             listing = replace(_named_by_time([root], []) or Listing([ImageRow(root, 0)]), kind="one image")
         else:
             images = _matching(str(root))
             parents = list(dict.fromkeys(path.parent for path in images))
-            listing = _plain(images, fps, (parents[0], parents[0].parent) if len(parents) == 1 else ())
+            listing = _plain(images, fps, (parents[0], parents[0].parent) if len(parents) == 1 else (), [])
     except (OSError, ValueError) as error:  # no permission; a name that no file can have
         raise InputError(f"cannot read '{root}': {error}") from error
     if listing is None:
@@ -119,7 +131,7 @@ def _euroc(root: Path) -> Listing | None:
     for camera in (root / "mav0" / "cam0", root / "cam0", root, *([root.parent] if root.name == "data" else [])):
         table, images = camera / "data.csv", camera / "data"
         if table.is_file():
-            return _listed(table, ",", images, "nanoseconds", "EuRoC sequence")
+            return _listed(table, images, "nanoseconds", "EuRoC sequence")
         if images.is_dir() and not (camera / "timestamps.txt").is_file():
             notes: list[str] = []
             times = _named_by_time(images_in(images), notes)
@@ -131,7 +143,7 @@ def _tum(root: Path) -> Listing | None:
     for sequence in (root, root.parent) if root.name == "rgb" else (root,):
         table = sequence / "rgb.txt"
         if table.is_file():
-            return _listed(table, None, sequence, "seconds", "TUM RGB-D sequence")
+            return _listed(table, sequence, "seconds", "TUM RGB-D sequence")
     return None
 
 
@@ -149,15 +161,19 @@ def _kitti_raw(root: Path) -> Listing | None:
     return _by_line(camera / "timestamps.txt", images, "KITTI sequence", notes) if images else None
 
 
-def _timed_by_line(root: Path, images: list[Path]) -> Listing | None:
-    """A table with a time for each image."""
+def _timed_by_line(root: Path, images: list[Path], notes: list[str]) -> Listing | None:
+    """A table with a time for each image. One of the folder above may be of other images, which is noted."""
     for table in (root / "times.txt", root.parent / "times.txt"):
         if images and table.is_file():
             return _by_line(table, images, "KITTI sequence", [])
-    for name in _OTHER_TIMES:
-        table = root / name
-        if images and table.is_file() and not any(map(_is_image_name, fields_of("\n".join(lines_of(table)[:2])))):
-            return _by_line(table, images, f"images with times in '{name}'", [])
+    for table in (folder / name for folder in (root, root.parent) for name in _OTHER_TIMES):
+        if images and table.is_file() and not any(map(_is_image_name, fields_of(",".join(lines_of(table)[:2])))):
+            try:
+                return _by_line(table, images, f"images with times in '{table.name}'", [])
+            except InputError as error:
+                if table.parent == root:
+                    raise
+                notes.append(f"times above are not taken: {error}")
     return None
 
 
@@ -168,17 +184,18 @@ def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Li
         InputError: the number of times differs, and the images' names do not tell which are theirs.
     """
     images = choose_frames(images, notes)
-    lines = lines_of(table)
-    if lines and re.match(r"\d{4}-\d\d-\d\d[ T]\d\d:", lines[0]):
-        rows = [[line] for line in lines]
-    else:
-        rows = without_heading([fields_of(line) for line in lines])
-    ids: list[str] = []
-    if rows and len(rows[0]) > 1 and _are_ids([row[0] for row in rows], images):
-        ids, rows = [row[0] for row in rows], [row[1:] for row in rows]
-        if not all(rows):
-            raise InputError(f"'{table}' has a line without a time")
-    stamps = stamps_of([row[0] for row in rows], table, "seconds", notes)
+    heading, rows = split_heading([fields_of(line) for line in lines_of(table)])
+    if any(len(row) < 2 <= len(rows[0]) for row in rows):
+        raise InputError(f"'{table}' has a line without a time")
+    columns = list(zip(*rows, strict=False))
+    ids = columns[0] if len(columns) > 1 and _are_ids(columns[0], images) else ()
+    column = _time_column(columns, heading)
+    if column is None:
+        column = 1 if ids else 0
+        if any(all(map(is_number, texts)) for texts in columns[column + 1 :]):
+            notes.append(f"of the numbers of '{table.name}' those in column {column + 1} are taken for times")
+    unit = unit_said(heading[column]) if heading else ""
+    stamps = stamps_of(columns[column] if columns else (), table, unit or "seconds", notes)
     numbers = [_whole(path.stem) for path in images]
     known = {_whole(text): stamp for text, stamp in zip(ids, stamps, strict=bool(ids))} if ids else {}
     if known and all(number in known for number in numbers):
@@ -197,7 +214,7 @@ def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Li
     raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
 
 
-def _are_ids(texts: list[str], images: list[Path]) -> bool:
+def _are_ids(texts: Sequence[str], images: list[Path]) -> bool:
     """Whether a column names the images, or counts them."""
     numbers = [_whole(text) for text in texts]
     if None in numbers:
@@ -205,6 +222,14 @@ def _are_ids(texts: list[str], images: list[Path]) -> bool:
     if {_whole(path.stem) for path in images} <= set(numbers):
         return True
     return all(b == a + 1 for a, b in pairwise(map(_number, numbers)))
+
+
+def _time_column(columns: Sequence[Sequence[str]], heading: Sequence[str]) -> int | None:
+    """The first column of dates or of times since 1970, else the one whose heading tells of time."""
+    dated = (column for column, texts in enumerate(columns) if are_dates_or_since_1970(texts))
+    said = (column for column, text in enumerate(heading[: len(columns)]) if unit_said(text))
+    numbers = (column for column in said if all(map(is_number, columns[column])))
+    return next(dated, next(numbers, None))
 
 
 def _whole(text: str) -> int | None:
@@ -215,9 +240,8 @@ def _number(value: int | None) -> int:
     return 0 if value is None else value
 
 
-def _plain(images: list[Path], fps: float, folders: tuple[Path, ...]) -> Listing | None:
+def _plain(images: list[Path], fps: float, folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
     """Images without a layout: times in their names, or in a table, or by the frame rate."""
-    notes: list[str] = []
     images = choose_frames(images, notes)
     found = (_named_by_time(images, notes) if images else None) or _in_tables(images, folders, notes)
     if found is not None or not images:
@@ -255,53 +279,106 @@ def _in_tables(images: list[Path], folders: tuple[Path, ...], notes: list[str]) 
     """The table of any name, in the folder or the one above, that gives times to most of the images."""
     best: list[ImageRow] = []
     chosen, said = None, list[str]()
+    known = _known(images)
     for folder in folders if images else folders[:1]:
         for table in natsorted([*folder.glob("*.txt"), *folder.glob("*.csv")], key=str)[:_MOST_TABLES]:
             if not table.is_file() or table.stat().st_size > _EACH_MOST:
                 continue
             words: list[str] = []
             try:
-                rows = _table_of_any_name(table, set(images), words)
+                rows = _table_of_any_name(table, known, words)
             except InputError:  # no table of times
                 continue
+            if chosen is not None and len(rows) == len(best) and rows != best:
+                said.append(f"'{table.name}' has other times than '{chosen.name}', which is taken")
             if len(rows) > len(best):
                 best, chosen, said = rows, table, words
     if chosen is None or 2 * len(best) < len(images):
         return None
     missing = len(images) - len(best)
     if missing > 0:
-        said.append(f"{missing} images are left out, for '{chosen.name}' does not list them")
+        said.append(f"left out of {len(images)} images for want of a time in '{chosen.name}': {missing}")
     said.append(f"times are from '{chosen.name}'")
-    return Listing(best, f"images with times in '{chosen.name}'", (*notes, *said))
+    return _in_order(best, f"images with times in '{chosen.name}'", [*notes, *said])
 
 
-def _table_of_any_name(table: Path, images: set[Path], notes: list[str]) -> list[ImageRow]:
-    """Rows "time  name", "name  time", or pairs "time  name" of colour and depth; [] for another kind of table."""
-    rows = without_heading([fields_of(line) for line in lines_of(table)])
-    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
+def _known(images: list[Path]) -> dict[str, Path]:
+    """Images by what tables call them: their name, with its suffix or without, or their number."""
+    known = {path.name: path for path in images}
+    for path in images:
+        known.setdefault(path.stem, path)
+    for path in images:
+        if (number := _whole(path.stem)) is not None:
+            known.setdefault(str(number), path)
+    return known
+
+
+def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) -> list[ImageRow]:
+    """Rows of a name and a time, or pairs "time  name" of colour and depth; [] for another kind of table.
+
+    The times are dates, since 1970, or have a heading that says so, or are the only numbers of a table without headings
+    and rise with the images.
+    """
+    lines = lines_of(table)
+    if len(lines) > _SOME_LINES and not _named_and_timed(lines[:_SOME_LINES], known)[1]:
         return []
-    names = [column for column in range(len(rows[0])) if _is_image_name(rows[0][column])]
-    seen = [column for column in names if not says_depth(Path(rows[0][column]))]
-    for column in seen:
-        times = [c for c in (column - 1, column + 1) if 0 <= c < len(rows[0]) and is_number(rows[0][c])]
-        paths = [_beside(row[column], table, images) for row in rows]
-        kept = [(path, row[times[0]]) for path, row in zip(paths, rows, strict=True) if times and path is not None]
-        if not kept:
-            continue
-        stamps = stamps_of([text for _, text in kept], table, "seconds", notes)
-        whole = [int(text) for _, text in kept if re.fullmatch(r"[0-9]{1,30}", text)]
-        if len(whole) == len(kept) and any(since_1970(number) is None for number in whole):
-            continue  # counters or classes
-        if plausible(stamps) and all(a < b for a, b in pairwise(stamps)):
-            return [ImageRow(path, stamp) for (path, _), stamp in zip(kept, stamps, strict=True)]
+    columns, pairs = _named_and_timed(lines, known)
+    for column, chosen, unit in pairs:
+        kept: dict[Path, str] = {}
+        for name, text in zip(columns[column], columns[chosen], strict=True):
+            path = _beside(name, table, known)
+            if path is not None:
+                kept.setdefault(path, text)
+        stamps = dict(zip(kept, stamps_of(list(kept.values()), table, unit or "seconds", notes), strict=True))
+        images = dict.fromkeys(known.values() if known else kept)
+        ordered = [ImageRow(path, stamps[path]) for path in images if path in kept]
+        rising = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(ordered))
+        if kept and plausible(stamps.values()) and (rising or unit):
+            if not unit:
+                notes.append(f"the only numbers of '{table.name}' that rise with the images are taken for times")
+            return ordered
     return []
 
 
-def _beside(name: str, table: Path, images: set[Path]) -> Path | None:
-    """The image that a table names, from the table's folder or, by a name without folders, among `images`."""
-    path = inside(name, table)
-    places = [table.parent / path, *(image.parent / path for image in list(images)[:1] if len(path.parts) == 1)]
-    return next((place for place in places if place in images or (not images and place.is_file())), None)
+def _named_and_timed(
+    lines: list[str], known: dict[str, Path]
+) -> tuple[list[tuple[str, ...]], list[tuple[int, int, str]]]:
+    """The columns of a table; which may name images, which their times, and the unit, "" where all that is a guess."""
+    heading, rows = split_heading([fields_of(line) for line in lines])
+    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
+        return [], []
+    columns = list(zip(*rows, strict=True))
+    names = [column for column, texts in enumerate(columns) if _is_image_name(texts[0])]
+    pairs = []
+    for column in names or range(len(columns) if known else 0):
+        if says_depth(Path(columns[column][0])) or (not names and len(set(columns[column])) < len(rows)):
+            continue
+        near = [c for c in range(len(columns)) if c not in names and c != column]
+        if len(names) > 1:
+            near = [c for c in (column - 1, column + 1) if c in near]
+        place = _time_column([columns[c] for c in near], [heading[c] for c in near] if heading else [])
+        numbers = [c for c in near if all(map(is_number, columns[c])) and not _are_counters(columns[c])]
+        if place is not None:
+            pairs.append((column, near[place], (unit_said(heading[near[place]]) if heading else "") or "seconds"))
+        elif not heading and len(numbers) == 1:
+            pairs.append((column, numbers[0], ""))
+    return columns, pairs
+
+
+def _are_counters(texts: Sequence[str]) -> bool:
+    """Whether numbers are whole ones that are no times since 1970: ids, classes, sizes."""
+    return None not in map(_whole, texts) and not are_dates_or_since_1970(texts)
+
+
+def _beside(name: str, table: Path, known: dict[str, Path]) -> Path | None:
+    """The image that a table names, from the table's folder or among those that are known."""
+    if not known:
+        place = table.parent / inside(name, table)
+        return place if place.is_file() else None
+    path = PurePosixPath(name.replace("\\", "/"))
+    image = known.get(path.name) or known.get(path.stem if _is_image_name(name) else str(_whole(name)))
+    elsewhere = path.parent.name not in ("", "..") and not PureWindowsPath(name).root  # absolute: from another machine
+    return None if image is None or (elsewhere and path.parent.name != image.parent.name) else image
 
 
 def _is_image_name(text: str) -> bool:
@@ -314,7 +391,23 @@ def _is_image(path: Path) -> bool:
 
 def images_in(folder: Path) -> list[Path]:
     """The images of a folder by their suffix, in natural order."""
-    return natsorted([path for path in folder.iterdir() if _is_image(path)], key=lambda path: path.name)
+    return _ordered([path for path in folder.iterdir() if _is_image(path)])
+
+
+def _unread(folder: Path) -> list[str]:
+    return natsorted(path.name for path in folder.iterdir() if path.suffix.lower() in _UNREAD)
+
+
+def _ordered(images: list[Path]) -> list[Path]:
+    """Images by the numbers in their names: some below zero, or all of them hexadecimal and equally long."""
+    stems = [path.stem for path in images]
+    below_zero = {bool(re.search(r"(?<![^_ =])-\d", stem)) for stem in stems} == {True, False}
+    ends = [re.fullmatch("(.*?)([0-9a-f]+|[0-9A-F]+)", stem) for stem in stems]
+    forms = {(end[1], len(end[2])) if end else None for end in ends}
+    if len(forms) == 1 and None not in forms and not all(end and end[2].isdecimal() for end in ends):
+        return sorted(images)
+    key = ns.REAL if below_zero else ns.DEFAULT
+    return natsorted(images, key=lambda path: (str(path.parent), path.stem, path.suffix), alg=key)
 
 
 def _matching(pattern: str) -> list[Path]:
@@ -331,7 +424,7 @@ def _matching(pattern: str) -> list[Path]:
         expression = re.compile("".join(part[0] for part in parts))
         names = glob.glob("".join(part[1] for part in parts))  # noqa: PTH207
         files = [Path(name) for name in names if expression.fullmatch(name)]
-    return natsorted([file for file in files if _is_image(file)], key=str)
+    return _ordered([file for file in files if _is_image(file)])
 
 
 def is_pattern(spec: str) -> bool:
@@ -360,15 +453,16 @@ def _nothing_in(root: Path) -> str:
     return f"'{root}' holds no image{has}: give a folder of images or a video file"
 
 
-def _listed(table: Path, separator: str | None, folder: Path, unit: str, kind: str) -> Listing:
+def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:
     """The rows "time, file name" of a table."""
     rows = []
     for line in lines_of(table):
-        fields = line.split(separator, maxsplit=1)
-        if len(fields) != 2:
+        stamp, *names = re.split(r"\s*[,;\t]\s*|\s+", line, maxsplit=1)
+        first = fields_of(names[0])[0] if names else ""
+        if not first:
             raise InputError(f"'{table}' has a line that is not a time and a file name: {line[:60]!r}")
-        rows.append([field.strip() for field in fields])
-    rows = without_heading(rows)
+        rows.append([stamp.strip("\"'"), first if _is_image_name(first) else names[0].strip("\"' ")])
+    _, rows = split_heading(rows)
     if not rows:
         raise InputError(f"'{table}' lists no image")
     paths = [folder / inside(name, table) for _, name in rows]

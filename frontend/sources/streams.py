@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import compress, pairwise, zip_longest
 from pathlib import Path
 
 from airline.errors import InputError
@@ -13,19 +13,20 @@ from airline.errors import InputError
 _DEPTH = {"depth", "depths", "disp", "disparity", "disparities"}
 _MEASURED = _DEPTH | {
     *("mask", "masks", "label", "labels", "seg", "segmentation", "semantic", "semantics", "instance", "instances"),
-    *("normal", "normals", "flow", "conf", "confidence", "albedo"),
+    *("normal", "normals", "flow", "conf", "confidence", "albedo", "gt", "groundtruth"),
 }
 _COLOUR = {"color", "colour", "colors", "colours", "rgb", "bgr"}
 _SEEN = _COLOUR | {"thermal", "flir", "lwir", "ir", "nir", "infrared", "gray", "grey", "mono", "left", "right"}
 _CAMERA = re.compile(r"^(.*?(?:cam|camera|image|img|view)[-_]?)(\d{1,2})([-_.].*\d.*)$", re.IGNORECASE)
+_INTO = re.compile(r"[-_](?:to|in|on)[-_]|To(?=[A-Z])|(?<=[a-z])2(?=[a-z])")  # depth_to_color shows depth
 _MOST_CAMERAS = 8
 _SHARE = 0.8  # of all images; otherwise the folder has names of many kinds, as collections of photographs have
 _MOST_WORDS = 3  # in a name that says what is in a file, not what somebody works on
 
 
 def words_of(name: str) -> set[str]:
-    """The words of a name, in lower case: "left_disp01" has "left" and "disp"."""
-    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)}
+    """The words of a name, in lower case: "left_disp01" has "left" and "disp", "depth_to_color" has "depth"."""
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", _INTO.split(name)[0])}
 
 
 def says_depth(path: Path) -> bool:
@@ -74,7 +75,7 @@ def _grouped(images: list[Path]) -> dict[tuple[str, str], list[Path]]:
     groups: dict[tuple[str, str], list[Path]] = defaultdict(list)
     for path in images:
         stem = path.stem if len(parents) == 1 else f"{path.parent.name}/{path.stem}"
-        groups[re.sub(r"[\d.]+", "#", stem), path.suffix.lower()].append(path)
+        groups[re.sub(r"(?:(?<![^_ =])[-+])?[\d.]+", "#", stem), path.suffix.lower()].append(path)
     if len(groups) > 1 or len(parents) > 1:
         return groups
     cameras: dict[tuple[str, str], list[Path]] = defaultdict(list)
@@ -98,14 +99,14 @@ def _without_measured(groups: dict[tuple[str, str], list[Path]], notes: list[str
     kept = {key: group for key, group in groups.items() if key not in measured}
     count, left = (sum(len(groups[key]) for key in keys) for keys in (kept, measured))
     example = groups[min(measured)][0].name
-    notes.append(f"{left} images like '{example}' are left out as depth or labels: the {count} others are the frames")
+    notes.append(f"{left} image{'s' * (left > 1)} like '{example}' left out as depth or labels, {count} kept")
     return kept
 
 
 def _paired(groups: dict[tuple[str, str], list[Path]]) -> list[tuple[str, str]]:
     """The groups whose names mostly have the numbers of the largest one's, that one first; [] if there are none."""
     largest = max(groups, key=lambda key: len(groups[key]))
-    numbers = {key: {_moment(key, path) for path in group} for key, group in groups.items()}
+    numbers = {key: _moments(key, group) for key, group in groups.items()}
     most = numbers[largest]
     others = [
         key for key in groups if key != largest and 2 * len(numbers[key] & most) > max(len(numbers[key]), len(most))
@@ -118,6 +119,13 @@ def _paired(groups: dict[tuple[str, str], list[Path]]) -> list[tuple[str, str]]:
 def _moment(key: tuple[str, str], path: Path) -> tuple[str, ...]:
     found = _CAMERA.match(path.stem)
     return (found[3],) if found and key[0] == f"{found[1]}{found[2]}#" else tuple(re.findall(r"\d+", path.stem))
+
+
+def _moments(key: tuple[str, str], group: list[Path]) -> set[tuple[str, ...]]:
+    """The numbers in the names of a group, without those that are the same in all, as in "8bit"."""
+    rows = [_moment(key, path) for path in group]
+    varying = [len(set(column)) > 1 for column in zip_longest(*rows)]
+    return {tuple(compress(row, varying)) for row in rows}
 
 
 def _choice(keys: Sequence[tuple[str, str]]) -> tuple[str, str] | None:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from collections.abc import Sequence
+from datetime import datetime
 from decimal import Decimal, InvalidOperation
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from airline.errors import InputError
 from frontend.sources.names import SECOND, UNITS, exact_ns, plausible, since_1970
+from frontend.sources.streams import words_of
 
 _MOST_BYTES = 1 << 28
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z?")
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(?:[.,](\d+))?(?:\s?(Z|[-+]\d\d:?\d\d))?(?!\w)")
+_UNITS_IN_HEADINGS = {**{unit: unit for unit in UNITS}, "ns": "nanoseconds", "nsec": "nanoseconds"}
+_UNITS_IN_HEADINGS |= {"us": "microseconds", "usec": "microseconds", "ms": "milliseconds", "msec": "milliseconds"}
+_TIMES = {"time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts", "t", "s", "sec", *_UNITS_IN_HEADINGS}
+_SPANS = {"exposure", "exp", "shutter", "integration", "duration"}
 
 
 def lines_of(table: Path) -> list[str]:
@@ -26,8 +32,10 @@ def lines_of(table: Path) -> list[str]:
 
 
 def fields_of(line: str) -> list[str]:
-    """What commas, semicolons or blanks separate."""
-    return re.split(r"\s*[,;]\s*|\s+", line)
+    """What commas, semicolons or tabs separate, else blanks; without quotes, and a date as one."""
+    if ":" in line:
+        line = _DATE.sub(lambda date: f"{date[1]}T{date[2]}.{date[3] or 0}{date[4] or ''}", line)
+    return [field.strip("\"' ") for field in re.split(r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+", line)]
 
 
 def is_number(text: str) -> bool:
@@ -37,13 +45,34 @@ def is_number(text: str) -> bool:
         return False
 
 
-def without_heading(rows: list[list[str]]) -> list[list[str]]:
-    """Rows without a first one of words, where numbers follow."""
-    words = len(rows) > 1 and not any(map(is_number, rows[0])) and any(map(is_number, rows[1]))
-    return rows[1:] if words else rows
+def is_time(text: str) -> bool:
+    return is_number(text) or _DATE.fullmatch(text) is not None
 
 
-def stamps_of(texts: list[str], table: Path, unit: str, notes: list[str]) -> list[int]:
+def split_heading(rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """A first row of words, where times follow, and the others."""
+    words = len(rows) > 1 and not any(map(is_time, rows[0])) and any(map(is_time, rows[1]))
+    return (rows[0], rows[1:]) if words else ([], rows)
+
+
+def unit_said(heading: str) -> str:
+    """The unit in the heading of a column of times, "seconds" where it has none, "" for another column."""
+    words = words_of(heading)
+    known = next((_UNITS_IN_HEADINGS[word] for word in words if word in _UNITS_IN_HEADINGS), "seconds")
+    return known if words & _TIMES and not words & _SPANS else ""
+
+
+def are_dates_or_since_1970(texts: Sequence[str]) -> bool:
+    return all(map(_DATE.fullmatch, texts)) or (all(map(is_number, texts)) and _unit_by_size(texts) is not None)
+
+
+def _unit_by_size(texts: Sequence[str]) -> str | None:
+    """The unit in which all of some numbers are times since 1970."""
+    told = {since_1970(int(Decimal(text))) if Decimal(text).copy_abs() < 10**20 else None for text in texts}
+    return next(iter(told)) if len(told) == 1 else None
+
+
+def stamps_of(texts: Sequence[str], table: Path, unit: str, notes: list[str]) -> list[int]:
     """Times in ns of a column: dates, or numbers of a unit; of another where only that makes sense, which is noted.
 
     Raises:
@@ -54,9 +83,8 @@ def stamps_of(texts: list[str], table: Path, unit: str, notes: list[str]) -> lis
     stamps = [_nanoseconds(text, UNITS[unit]) for text in texts]
     known = [stamp for stamp in stamps if stamp is not None]
     if (len(known) < len(stamps) or not plausible(known)) and all(map(is_number, texts)):
-        told = {since_1970(int(Decimal(text))) if Decimal(text).copy_abs() < 10**20 else None for text in texts}
-        other = next(iter(told))
-        if len(told) == 1 and other is not None and other != unit:
+        other = _unit_by_size(texts)
+        if other is not None and other != unit:
             notes.append(f"the times of '{table.name}' are taken for {other} since 1970, by their size")
             stamps = [_nanoseconds(text, UNITS[other]) for text in texts]
     for text, stamp in zip(texts, stamps, strict=True):
@@ -81,7 +109,7 @@ def _date(text: str, table: Path) -> int:
     found = _DATE.fullmatch(text)
     assert found is not None
     try:
-        whole = datetime.fromisoformat(f"{found[1]}T{found[2]}").replace(tzinfo=UTC)
+        whole = datetime.fromisoformat(f"{found[1]}T{found[2]}{found[4] or 'Z'}")
     except ValueError as error:
         raise InputError(f"'{table}' has a time that cannot be read: {text[:60]!r}") from error
-    return int(whole.timestamp()) * SECOND + int((found[3] or "").ljust(9, "0"))
+    return int(whole.timestamp()) * SECOND + int((found[3] or "")[:9].ljust(9, "0"))

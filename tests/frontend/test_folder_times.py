@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 from airline.errors import InputError
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
+from tests.helpers.command import command
 from tests.helpers.numbered import number_of, numbered, write_numbered
 
 START = 1560004885
@@ -57,6 +60,66 @@ NAMES = {  # how a time in seconds is written, and the words for it
     "compact date": (lambda t: f"20190608_1441{int(t) - START + 25:02d}_{int(t % 1 * 10**9):09d}", "dates"),
 }
 
+MOMENT = datetime(2021, 6, 8, 12, 59, 58, 500_000)
+CLOCKS: dict[str, Callable[[datetime], str]] = {  # how the 0.25 s steps around one o'clock are written
+    "two digits": lambda d: f"{d:%Y-%m-%d_%H-%M-%S}.{d.microsecond // 10_000:02d}",
+    "seven digits": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}0Z",
+    "zeros lost": lambda d: f"{d:%Y-%m-%d %H.%M.%S.%f}".rstrip("0").rstrip("."),
+    "comma": lambda d: f"{d:%Y%m%d_%H%M%S},{d.microsecond // 10_000:02d}",
+    "letters": lambda d: f"vlcsnap-{d:%Y-%m-%d-%Hh%Mm%S}s{d.microsecond // 1000:03d}",
+    "words": lambda d: f"Screenshot {d:%Y-%m-%d at %H.%M.%S.%f}",
+    "half a day": lambda d: f"Screenshot {d:%Y-%m-%d %I.%M.%S.%f %p}",
+    "half a day, narrow": lambda d: f"{d:%Y-%m-%d at} {d.hour % 12 or 12}{d:.%M.%S.%f}\u202f{d:%p}".lower(),
+    "day of the year": lambda d: f"{d:%Y-%j-%H-%M-%S.%f}",
+    "offset": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}+0200",
+    "clock": lambda d: f"{d:%H_%M_%S.%f}",
+    "clock of points": lambda d: f"{d:%H.%M.%S.%f}",
+    "day first": lambda d: f"{d:%d.%m.%Y %H-%M-%S.%f}",
+    "minutes": lambda d: f"clip_{d + timedelta(minutes=-30):%M-%S}.{d.microsecond // 1000:03d}",
+}
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_dates_and_clocks_in_names(tmp_path: Path, form: str) -> None:
+    write_numbered(tmp_path, [f"{CLOCKS[form](MOMENT + timedelta(seconds=k / 4))}.png" for k in range(12)])
+    numbers, stamps, source = read(tmp_path)
+    assert numbers == list(range(12))
+    assert [stamp - stamps[0] for stamp in stamps] == [k * 10**9 // 4 for k in range(12)]
+    words = "hours, minutes and seconds" if form in ("clock", "clock of points", "day first", "minutes") else "dates"
+    assert said(source, f"taken for {words} by")
+    if words == "dates":
+        assert stamps[0] == int(MOMENT.replace(tzinfo=UTC).timestamp() * 10) * 10**8
+
+
+def test_one_digit_of_a_second(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"2019-06-08T14-41-{k // 10}.{k % 10}.png".replace("-41-", "-41-5") for k in range(95)])
+    assert read(tmp_path)[1][-1] - read(tmp_path)[1][0] == 9_400_000_000
+
+
+@pytest.mark.parametrize("unit", [10**6, 10**9])
+def test_seconds_and_their_parts_without_zeros(tmp_path: Path, unit: int) -> None:
+    """A part of 33 ms is printed as .33, as one of 330 ms is: only one of the two makes even steps."""
+    stamps = [START * unit + unit * 9 // 10 + k * unit // 30 for k in range(10)]
+    write_numbered(tmp_path, [f"{stamp // unit}.{stamp % unit}.png" for stamp in stamps])
+    numbers, read_, source = read(tmp_path)
+    assert (numbers, read_) == (list(range(10)), [stamp * (10**9 // unit) for stamp in stamps])
+    assert said(source, f"seconds and {'micro' if unit == 10**6 else 'nano'}seconds")
+
+
+def test_milliseconds_with_decimals(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"_Color_{START * 1000 + 40 * k}.165039.png" for k in range(4)])
+    numbers, stamps, source = read(tmp_path)
+    assert (numbers, stamps) == ([0, 1, 2, 3], [START * 10**9 + 40_000_000 * k + 165_039 for k in range(4)])
+    assert said(source, "decimal milliseconds")
+
+
+def test_times_before_zero(tmp_path: Path) -> None:
+    for word in ("", "frame_"):
+        write_numbered(tmp_path / f"x{word}", [f"{word}{k / 10}.png" for k in range(-3, 3)])
+        numbers, stamps, _ = read(tmp_path / f"x{word}")
+        assert (numbers, stamps) == (list(range(6)), [k * 10**8 for k in range(-3, 3)])
+        assert "first time:  -0.300000000 s\n" in command(tmp_path / f"x{word}", "--info").out
+
 
 @pytest.mark.parametrize("form", NAMES)
 def test_times_in_names(tmp_path: Path, form: str) -> None:
@@ -99,6 +162,10 @@ def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
         [f"{START}_{k:06d}" for k in range(12)],  # when the recording began, and a counter
         [f"{START}_{k}" for k in range(12)],
         [f"20190608_144125_{k:03d}" for k in range(12)],
+        [f"20190608_14412{k // 5}_{k % 5:03d}" for k in range(12)],  # a counter in each second
+        [f"{START + k // 5}-{k % 5:03d}" for k in range(12)],
+        [f"fc2_save_2019-06-08-14412{k // 5}-{k:04d}" for k in range(12)],
+        ["2021-06-08 14.41.20", *(f"2021-06-08 14.41.20-{k}" for k in range(1, 12))],
         [f"2019-06-08 {k}" for k in range(12)],
         [f"{START * 1000}_{k}" for k in range(12)],
         [f"{k:010d}" for k in range(12)],
@@ -160,6 +227,134 @@ TABLES = {  # name, rows, with the stamps of 0.1 s steps
 }
 
 
+OTHER_TABLES = {  # of images 0000.png and so on in "images", with the stamps of 0.1 s steps
+    "frames.csv": ["frame,ts", "{k},{t}"],
+    "stems.csv": ["{k:04d},{t}"],
+    "quoted.csv": ['"name","time"', '"{k:04d}.png","{t}"'],
+    "converted.txt": ["{k:04d}.jpg {t}"],
+    "far.csv": ["/home/me/set/{k:04d}.png,{t}"],
+    "drive.csv": ["C:\\set\\{k:04d}.png;{t}"],
+    "date.csv": ["{k:04d}.png,{date}Z"],
+    "date.txt": ["{date} {k:04d}.png"],
+    "zone.csv": ["{date}+00:00\t{k:04d}.png"],
+    "after.csv": ["name,exposure_time_ms,stamp", "{k:04d}.png,10.{k},{t}"],
+    "gains.csv": ["{k:04d}.png,{k}.5,{us},10.5"],
+    "../timestamps.txt": ["{date}"],
+    "../times.csv": ["time", "{t}"],
+    "../times.txt": ["{k} 0.01{k} {t}"],
+    "timestamps.txt": ["frame exposure time", "{k} 0.01{k} {t}"],
+}
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("table", OTHER_TABLES)
+def test_the_column_of_times(tmp_path: Path, table: str, backwards: bool) -> None:
+    folder = tmp_path / "images"
+    write_numbered(folder, [f"{k:04d}.png" for k in range(8)])
+    *heading, row = OTHER_TABLES[table]
+    rows = [row.format(k=k, t=f"{START}.{k}", us=f"{START}{k}00000", date=f"2019-06-08 14:41:25.{k}") for k in range(8)]
+    if backwards and "{k" in row:
+        rows.reverse()
+    (folder / table).write_text("\n".join([*heading, *rows]))
+    numbers, stamps, source = read(folder)
+    assert numbers == list(range(8))
+    assert stamps[0] // 10**9 in (START, int(datetime(2019, 6, 8, 14, 41, 25, tzinfo=UTC).timestamp()))
+    assert [stamp - stamps[0] for stamp in stamps] == [k * 10**8 for k in range(8)]
+    assert f"'{Path(table).name}'" in source.kind or source.kind == "KITTI sequence"
+
+
+def test_guesses_about_tables_are_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    for name, step in (("a.csv", 0.1), ("b.csv", 0.2)):
+        (tmp_path / name).write_text("".join(f"{k:04d}.png,{3 + k * step:.1f}\n" for k in range(8)))
+    stamps, source = read(tmp_path)[1:]
+    assert stamps[1] == 3_100_000_000
+    assert said(source, "the only numbers of 'a.csv' that rise with the images")
+    assert said(source, "'b.csv' has other times than 'a.csv', which is taken")
+
+
+def test_pictures_of_formats_that_are_not_read_are_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, ["thumb.jpg"])
+    for k in range(5):
+        (tmp_path / f"{k}.JP2").touch()
+    assert said(read(tmp_path)[2], "left out for their format: '0.JP2', '1.JP2', '2.JP2' and 2 more")
+
+
+def test_the_unit_of_a_heading(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "index.csv").write_text("file;time [ms]\n" + "".join(f"{k:04d}.png;{40 * k}\n" for k in range(8)))
+    assert read(tmp_path)[1] == [40_000_000 * k for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["{k:04d}.png,47.10{k},8.10{k},40{k}"],
+        ["name,lat,lon", "{k:04d}.png,47.10{k},8.10{k}"],
+        ["{k:04d}.png 1.0{k} 2.0{k} 3"],
+        ["{k} 0.5 0.5 0.1{k} 0.1"],
+        ["{k:04d}.png,0.{other}"],
+        ["{k:04d}.png {k}"],
+        ["frame,x", "{k},5.{k}"],
+        ["{other}th,5.{k}"],
+        ["\n".join(f"0.{n:02d} {n % 8} {n % 3} 1" for n in range(40)) + "\n0.9{k} {k} 1 1"],  # events
+    ],
+)
+def test_places_and_scores_are_no_times(tmp_path: Path, rows: list[str]) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    text = "\n".join([*rows[:-1], *(rows[-1].format(k=k, other=k * 5 % 8) for k in range(8))])
+    (tmp_path / "numbers.csv").write_text(text)
+    assert said(read(tmp_path)[2], FPS_NOTE)
+
+
+def test_times_above_that_are_of_other_images(tmp_path: Path) -> None:
+    write_numbered(tmp_path / "images", [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "timestamps.txt").write_text("1\n2\n3\n")
+    source = read(tmp_path / "images")[2]
+    assert said(source, "times above are not taken: ")
+    assert said(source, FPS_NOTE)
+
+
+@pytest.mark.parametrize("times", ["{ns} 0.01{k}", "{ns},{k}"])
+def test_exposure_beside_names_that_are_times(tmp_path: Path, times: str) -> None:
+    stamps = [START * 10**9 + k * 10**8 + 7 for k in range(8)]
+    write_numbered(tmp_path, [f"{stamp}.png" for stamp in stamps])
+    (tmp_path / "times.txt").write_text("\n".join(times.format(ns=stamp, k=k) for k, stamp in enumerate(stamps)))
+    assert read(tmp_path)[:2] == (list(range(8)), stamps)
+
+
+def test_a_column_of_times_that_cannot_be_told_is_said(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
+    (tmp_path / "times.txt").write_text("".join(f"{k} {k / 10} 0.01\n" for k in range(8)))
+    numbers, stamps, source = read(tmp_path)
+    assert (numbers, stamps[3]) == (list(range(8)), 300_000_000)
+    assert said(source, "of the numbers of 'times.txt' those in column 2 are taken for times")
+
+
+@pytest.mark.parametrize(
+    ("table", "row"),
+    [
+        ("data.csv", "{ns} {name}"),
+        ("data.csv", "{ns}\t{name}"),
+        ("data.csv", '"{ns}" ; "{name}"'),
+        ("data.csv", "{ns}, {name}, 0.01"),
+        ("data.csv", "{ns} {name} 0.01"),
+        ("rgb.txt", "{t},{name}"),
+        ("rgb.txt", "{t} {name} 0.01"),
+    ],
+)
+@pytest.mark.parametrize("name", ["{k:03d}.png", "a picture {k:03d}.png"])
+def test_known_tables_as_other_programs_write_them(tmp_path: Path, table: str, row: str, name: str) -> None:
+    names = [name.format(k=k) for k in range(6)]
+    if "a" in name[:1] and row.endswith("} 0.01"):
+        return  # blanks in a name are no longer told from those between columns
+    write_numbered(tmp_path / "data" if table == "data.csv" else tmp_path, names)
+    rows = [row.format(ns=(START * 10 + k) * 10**8, t=f"{START}.{k}", name=name) for k, name in enumerate(names)]
+    (tmp_path / table).write_text("\n".join(rows))
+    numbers, stamps, _ = read(tmp_path)
+    assert (numbers, stamps) == (list(range(6)), [(START * 10 + k) * 10**8 for k in range(6)])
+
+
 @pytest.mark.parametrize("given", ["color", ""])
 @pytest.mark.parametrize("table", TABLES)
 def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
@@ -179,13 +374,29 @@ def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
     assert said(source, f"times are from '{table}'")
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{k:04x}" for k in range(8, 20)],
+        [f"frame_{START * 10**9 + k * 33_333_333:016X}" for k in range(12)],
+        [f"{k}" for k in range(-6, 6)],
+        [f"shot_{k}" for k in range(-12, 0, 2)] + [f"shot_{k}" for k in range(6)],
+        ["x0", "x0(0)", "x0-1", *(f"x{k}" for k in range(1, 10))],
+    ],
+)
+def test_numbers_in_names_order_images(tmp_path: Path, names: list[str]) -> None:
+    write_numbered(tmp_path, [f"{name}.jpg" for name in names])
+    assert read(tmp_path)[0] == list(range(12))
+    assert read(tmp_path / "*.jpg")[0] == list(range(12))
+
+
 def test_a_table_that_lists_fewer_images(tmp_path: Path) -> None:
     write_numbered(tmp_path, [f"{k}.png" for k in range(12)])
     (tmp_path / "list.txt").write_text("\n".join(f"{START + k / 4} {k}.png" for k in range(1, 11)))
     numbers, stamps, source = read(tmp_path)
     assert numbers == list(range(1, 11))
     assert stamps[1] - stamps[0] == 250_000_000
-    assert said(source, "2 images are left out, for 'list.txt' does not list them")
+    assert said(source, "left out of 12 images for want of a time in 'list.txt': 2")
     (tmp_path / "list.txt").write_text("1560004885.5 1.png\n")
     assert len(read(tmp_path)[0]) == 12
 
