@@ -39,7 +39,7 @@ def describe(source: Source) -> str:
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
         "orientation": source.orientation,
         "codec": source.codec or "?",
-        "calibration": source.calibration or ("none" if first.camera is None else "the input's own"),
+        "calibration": source.calibration or ("none" if first.camera is None else "from the input itself"),
     }
     if (camera := first.camera) is not None:
         lens = "no distortion" if camera.distortion == "none" else camera.distortion
@@ -55,9 +55,9 @@ def introduce(source: Source, first: Frame, notes: Sequence[str], results: Seque
     count, rate = _count(source), _rate_hz(source, first)
     known = source.kind, _size(first), f"{count} frames" if count else "", f"{rate:.4g} frames/s" if rate else ""
     if first.camera is None:
-        calibration = "none, so lines have pixels but no rays: --calib FILE gives one"
+        calibration = "none, so lines are in pixels alone: --calib FILE gives one"
     elif source.calibration is None:
-        calibration = "the input's own"
+        calibration = "from the input itself"
     else:
         calibration = f"{source.calibration}{f'; --calib {NO_CALIBRATION} leaves it out' if found else ''}"
     return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, notes, results)
@@ -112,7 +112,7 @@ def _rate_hz(source: Source, first: Frame) -> float | None:
 
 
 def _time(stamp_ns: int) -> str:
-    seconds = f"{'-' * (stamp_ns < 0)}{abs(stamp_ns) // 10**9}.{abs(stamp_ns) % 10**9:09d} s"
+    seconds = f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} s"
     if not _DATES_NS[0] <= stamp_ns < _DATES_NS[1]:
         return seconds
     return f"{seconds} ({datetime.fromtimestamp(stamp_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC)"

@@ -50,6 +50,7 @@ _UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf
 _PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
 _LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
+_MOST_FOLDERS = 8  # of images, of which the first is taken
 _SOME_LINES = 50  # tell a table of times from others, of which there may be many
 _EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
 _OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
@@ -102,6 +103,10 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
             listing = _plain(images, fps, (parents[0], parents[0].parent) if len(parents) == 1 else (), [])
     except (OSError, ValueError) as error:  # no permission; a name that no file can have
         raise InputError(f"cannot read '{root}': {error}") from error
+    if listing is None and root.is_dir() and 0 < len(inside := _image_folders(root)) <= _MOST_FOLDERS:
+        listing = list_images(root / inside[0], fps)
+        others = f", not {_some(inside[1:])}" if inside[1:] else ""
+        return replace(listing, notes=(f"the images of its folder '{inside[0]}' are taken{others}", *listing.notes))
     if listing is None:
         raise InputError(_nothing_in(root) if root.is_dir() else _nothing_like(root))
     for before, after in pairwise(listing.rows):
@@ -118,6 +123,10 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     if steps and (step := median(steps)) > _LONG_STEP:
         slow = f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit"
         listing = replace(listing, notes=(*listing.notes, slow))
+    if (first_ns := listing.rows[0].stamp_ns) < 0:
+        rows = [row._replace(stamp_ns=row.stamp_ns - first_ns) for row in listing.rows]
+        below = f"times begin below zero, at {first_ns / 1e9:g} s, and are counted from there"
+        listing = replace(listing, rows=rows, notes=(*listing.notes, below))
     return listing
 
 
@@ -436,13 +445,18 @@ def _nothing_like(root: Path) -> str:
     return f"no image matches '{root}'" if is_pattern(str(root)) else f"there is no folder or image '{root}'"
 
 
+def _image_folders(root: Path) -> list[str]:
+    """Folders with images in a folder, in natural order, without those of depth where there are others."""
+    inside = natsorted(child.name for child in root.iterdir() if child.is_dir() and images_in(child))
+    return [name for name in inside if not says_depth(Path(name))] or inside
+
+
 def _nothing_in(root: Path) -> str:
     """Why a folder is none of images, and what to give."""
     children = list(root.iterdir())
-    inside = natsorted(child.name for child in children if child.is_dir() and images_in(child))
-    inside = [name for name in inside if not says_depth(Path(name))] or inside
+    inside = _image_folders(root)
     if inside:
-        return f"'{root}' holds no image; its folder '{inside[0]}' has some"
+        return f"'{root}' holds no image; its folder '{inside[0]}' has some: give that or another"
     for suffixes, what in ((_LOGS, "recordings"), (_VIDEOS, "videos")):
         found = natsorted(child.name for child in children if child.suffix.lower() in suffixes)
         if found:

@@ -101,7 +101,7 @@ def test_cuda_where_there_is_none(desk: Path, clip: Path) -> None:
 
 
 def test_summary_that_cannot_be_written_keeps_the_recording(desk: Path, clip: Path) -> None:
-    (desk / "run.json").mkdir()
+    (desk / "run.json").symlink_to("/dev/full")
     outcome = command(clip, "--save", "run.rrd", "--summary", "run.json")
     assert outcome.code == 2
     assert outcome.err.startswith("error: cannot write --summary run.json")

@@ -134,10 +134,16 @@ def test_depth_is_refused(tmp_path: Path, name: str, kind: type) -> None:
         assert "Traceback" not in outcome.err
 
 
-def test_the_hint_is_not_at_depth(tmp_path: Path) -> None:
+def test_a_folder_of_folders_stands_for_the_first_that_is_none_of_depth(tmp_path: Path) -> None:
     depth_image(tmp_path / "depth" / "0.png")
-    write_numbered(tmp_path / "rgb", ["0.png"])
-    with pytest.raises(InputError, match="its folder 'rgb' has some"):
+    for name in ("rgb", "right"):
+        write_numbered(tmp_path / name, ["0.png", "1.png"])
+    source = open_source(tmp_path)
+    assert [number_of(frame.image) for frame in source] == [0, 1]
+    assert source.notes[0] == "the images of its folder 'rgb' are taken, not 'right'"
+    for k in range(9):
+        write_numbered(tmp_path / f"trip{k}", ["0.png"])
+    with pytest.raises(InputError, match="its folder 'rgb' has some: give that or another"):
         open_source(tmp_path)
 
 

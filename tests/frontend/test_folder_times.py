@@ -15,7 +15,6 @@ import pytest
 from airline.errors import InputError
 from frontend.sources import open_source
 from frontend.sources.folder import FolderSource
-from tests.helpers.command import command
 from tests.helpers.numbered import number_of, numbered, write_numbered
 
 START = 1560004885
@@ -111,14 +110,6 @@ def test_milliseconds_with_decimals(tmp_path: Path) -> None:
     numbers, stamps, source = read(tmp_path)
     assert (numbers, stamps) == ([0, 1, 2, 3], [START * 10**9 + 40_000_000 * k + 165_039 for k in range(4)])
     assert said(source, "decimal milliseconds")
-
-
-def test_times_before_zero(tmp_path: Path) -> None:
-    for word in ("", "frame_"):
-        write_numbered(tmp_path / f"x{word}", [f"{word}{k / 10}.png" for k in range(-3, 3)])
-        numbers, stamps, _ = read(tmp_path / f"x{word}")
-        assert (numbers, stamps) == (list(range(6)), [k * 10**8 for k in range(-3, 3)])
-        assert "first time:  -0.300000000 s\n" in command(tmp_path / f"x{word}", "--info").out
 
 
 @pytest.mark.parametrize("form", NAMES)
@@ -516,3 +507,11 @@ def test_times_in_milliseconds_where_seconds_belong_are_doubted(tmp_path: Path) 
     numbers, stamps, source = read(tmp_path)
     assert (numbers, stamps[1]) == ([0, 1, 2, 3], 100 * 10**9)
     assert said(source, "images are 100 s apart by their times: correct these if that is another unit")
+
+
+def test_times_below_zero_are_counted_from_the_first(tmp_path: Path) -> None:
+    for word in ("", "frame_"):
+        write_numbered(tmp_path / f"x{word}", [f"{word}{number / 10}.png" for number in range(-3, 3)])
+        numbers, stamps, source = read(tmp_path / f"x{word}")
+        assert (numbers, stamps) == (list(range(6)), [number * 10**8 for number in range(6)])
+        assert said(source, "times begin below zero, at -0.3 s, and are counted from there")

@@ -170,7 +170,7 @@ def test_a_run_says_what_it_takes(tmp_path: Path) -> None:
         assert done.code == 0, done.err
         text = which and f"P2 of '{which}', fx 719.9 px"
         lines = [line for line in done.out.splitlines() if line.startswith("calibration")]
-        none = "none, so lines have pixels but no rays: --calib FILE gives one"
+        none = "none, so lines are in pixels alone: --calib FILE gives one"
         assert lines == [f"calibration: {text}{said}" if which else f"calibration: {none}"]
         assert json.loads(summary.read_text())["calibration"] == text
         assert [tracks.camera and tracks.camera.fx for tracks in read_tracks(out)] == [which and 719.856] * 2

@@ -45,10 +45,11 @@ def command(*arguments: object, main: Callable[[list[str]], int] = main) -> Outc
 
 
 def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
-    """The one sentence with which a command line is refused before it prints anything but notes on the input."""
+    """The one sentence with which a command line is refused before it prints anything but what the input is."""
     outcome = command(*arguments, main=main)
     assert outcome.code == 2, outcome
-    assert all(line.startswith("note: ") for line in outcome.out.splitlines()), outcome
+    begin = ("input: ", "calibration: ", "writing: ", "note: ")
+    assert all(line.startswith(begin) for line in outcome.out.splitlines()), outcome
     assert re.fullmatch(r"error: .{1,500}\n", outcome.err), outcome.err
     return outcome.err.removeprefix("error: ").rstrip("\n")
 
