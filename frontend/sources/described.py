@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ class Described(NamedTuple):
         format: for people.
         codec: for people, with the pixels' format where they have more than 8 bits.
         unit: of the times, s.
-        timed: whether it holds times, or a rate.
+        timed: whether it holds times.
         fps: frames per second, 0 where nobody says.
         duration_s: to the end of the last picture; from zero on, or from the first one.
         frames: as stated, 0 where it is not.
@@ -75,10 +76,11 @@ def describe(container: InputContainer, stream: VideoStream, suffix: str) -> Des
     if pixels is not None and any(part.bits > 8 for part in pixels.components):
         codec += f" ({pixels.name})"
     unit = stream.time_base or Fraction(1, av.time_base)
-    rate = stream.average_rate or stream.guessed_rate
     no_times: Any = av.format.Flags.no_timestamps
-    timed = not container.format.flags & no_times.value or bool(stream.codec_context.framerate)
-    fps = float(rate) if timed and rate and 0 < rate < 10_000 else 0.0
+    timed = not container.format.flags & no_times.value
+    # without times FFmpeg states a rate of 25 whatever the stream says
+    rate = (stream.average_rate or stream.guessed_rate) if timed else stream.codec_context.framerate
+    fps = float(rate) if rate and 0 < rate < 10_000 else 0.0
     duration_s = None
     if stream.duration:
         duration_s = float(stream.duration * unit)
@@ -99,6 +101,16 @@ def describe(container: InputContainer, stream: VideoStream, suffix: str) -> Des
         coded_order="avi" in names,
         indexed={"mpegts", "mpeg"}.isdisjoint(names),
     )
+
+
+def last_stamp(container: InputContainer, index: int, said: Described, origin: int) -> int | None:
+    """Of a file with an index, ns behind `origin`, by its last packets: rates may vary; it is closed."""
+    with container, suppress(av.FFmpegError):
+        stream = container.streams[index]
+        container.seek(1 << 62, stream=stream)
+        times = [packet.pts for packet in container.demux(stream) if packet.pts is not None and not packet.is_discard]
+        return round((max(times) - origin) * said.unit * 10**9) if times else None
+    return None
 
 
 def counted(container: InputContainer, index: int, said: Described, origin: int) -> tuple[int | None, int | None, bool]:

@@ -19,7 +19,7 @@ from frontend.frame import Frame
 from frontend.protocols import Source
 from frontend.sources import kinds
 from frontend.sources.container import MOST_PIXELS, VideoInput, reason_of, video_stream
-from frontend.sources.described import counted, describe
+from frontend.sources.described import counted, describe, last_stamp
 from frontend.sources.orientation import in_words, upright
 from frontend.sources.pixels import image_of, orientation_of
 from frontend.sources.reading import Skips, UndecodableError
@@ -137,7 +137,7 @@ class VideoSource(Source):
         self.kind, self.codec = f"{self._input.kind} ({said.format})", said.codec
         self._unit_ns = said.unit.numerator * 10**9, said.unit.denominator
         self._fps = said.fps or fps
-        if not said.timed:
+        if not said.timed and not said.fps:
             self.notes.append(f"the video holds no times: {fps:g} frames/s are assumed; --fps gives another rate")
         if self._input.unsized:
             self.notes.append("the server does not say how long the file is: its name says that it is a recording")
@@ -147,6 +147,8 @@ class VideoSource(Source):
         count = last_ns = None
         if self._input.pipe is None and self._said.indexed:
             count, last_ns = self._said.end(float((self._first.key or 0) * self._said.unit))
+            if last_ns is not None and self._input.way == "file" and self._first.key is not None and self._said.timed:
+                last_ns = last_stamp(self._input.open(), self._stream.index, self._said, self._first.key)
         elif self._input.way == "file" and self._first.key is not None:
             count, last_ns, self._joined = counted(self._input.open(), self._stream.index, self._said, self._first.key)
         self._stated = count or 0
