@@ -241,6 +241,9 @@ class LogImageSource(Source):
         if order.late:
             what = "1 message that was" if order.late == 1 else f"{order.late} messages that were"
             self._note(f"{what} logged late came in order by header time; --time-source log keeps the log's order")
+        if order.ahead:
+            what = "1 header time" if order.ahead == 1 else f"{order.ahead} header times"
+            self._note(f"{what} ahead of all others gave way to the log's clock (--time-source log uses it throughout)")
 
     def _note_order(self, decoder: ImageDecoder) -> None:
         if decoder.reorders:

@@ -278,6 +278,16 @@ def test_late_images_have_their_own_stamps(
     assert not source.notes
 
 
+def test_one_header_ahead_changes_no_other(tmp_path: Path) -> None:
+    ahead_ns = [3600 * 10**9 if k == 7 else 0 for k in range(COUNT)]
+    messages = (raw(numbered(k), stamp(k) + ahead_ns[k], "bgr8") for k in range(COUNT))
+    source = McapImageSource(write_log(tmp_path / "a.mcap", {"/camera": logged(messages, kind="Image")}))
+    shown(source)
+    assert source.notes == [
+        "1 header time ahead of all others gave way to the log's clock (--time-source log uses it throughout)"
+    ]
+
+
 @pytest.mark.parametrize("unit", [10**9, 10**8])
 def test_coarse_headers_keep_all_frames(tmp_path: Path, unit: int, caplog: pytest.LogCaptureFixture) -> None:
     messages = (raw(numbered(k), stamp(k) // unit * unit, "bgr8") for k in range(COUNT))
