@@ -109,7 +109,7 @@ class StampOrder:
         if self._step is not None:
             self._step -= 1
         if entry.has_time:
-            if self._past and entry.stamp_ns < self._past[-1][0] + (place > 0):  # another has its time
+            if self._past and entry.stamp_ns < self._past[-1][0]:
                 self._refuse(entry, "it was logged too late for its time")
                 return
             self._past.append(entry.times)

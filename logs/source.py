@@ -164,7 +164,8 @@ class LogImageSource(Source):
 
     def _images(self) -> Iterator[tuple[int, int, Image]]:
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
-        decoder, clock = ImageDecoder(), StampClock(self.name, self._time_source, self.notes)
+        decoder = ImageDecoder()
+        clock = StampClock(self.name, self._time_source, self.notes, lambda: mean_rate_hz(self._file, self._topic))
         start_ns, number = self._landing(clock) if self._start_ns else (None, 0)
         wanted_ns = self.first_stamp_ns + self._start_ns if self._start_ns else 0
         waiting: deque[tuple[int, int, Future[Still]]] = deque()
