@@ -143,7 +143,7 @@ class StampOrder:
         if fall == 0 and len(behind) > WINDOW and max(behind)[0] < self._past[-1][0]:
             return True  # else all of them would be left out
         delays = sorted(delay for _, delay in behind)
-        stamps = sorted(stamp for stamp, _ in (*before, *behind))
+        stamps = sorted(stamp for stamp, _ in (before if len(before) > WINDOW else before + behind))
         period = median(b - a for a, b in pairwise(stamps))
         start = next((k for k in range(len(before), 0, -1) if before[k - 1][1] >= delays[0]), 0)
         rest, low = [delay for _, delay in before[:start]], [delay for _, delay in before[start:]]
@@ -160,8 +160,8 @@ class StampOrder:
             return False
         meets = any(abs(a - b) < 0.75 * period for a, _ in before[start:] for b, _ in behind)  # late ones leave a hole
         others = rest + delays
-        if len(low) < len(others) and len(low) <= min(WINDOW, len(held)):
-            if jump > (median(others) - min(others) if meets else WINDOW * period):
+        if len(low) < len(others) and len(low) <= WINDOW:
+            if len(low) <= len(held) and jump > (median(others) - min(others) if meets else WINDOW * period):
                 self._mend(held[-len(low) :], rest[-1] if rest else delays[0])
             return False
         return len(behind) >= WINDOW or meets or sum(a > max(behind)[0] for a, _ in before) > WINDOW

@@ -68,7 +68,7 @@ class StampClock:
         self._step_ns = 0  # between the two frames before
         self._last_wanted: int | None = None
         self._units = list(_UNITS_NS)  # of a clock that does not count finely, those that all headers are multiples of
-        self._coarse = False  # whether headers that come again are the rule
+        self._coarse = self._stands = False  # whether headers, or log times, that come again are the rule
         self._repeated: deque[tuple[bool, bool]] = deque(maxlen=_STEPS)  # whether header and log time came again
         self.faults: Counter[str] = Counter()
 
@@ -99,6 +99,9 @@ class StampClock:
                 if counted <= last:
                     raise UndecodableError("it is not later than the frame before it")
                 stamp = _in_range(counted)
+                if self._stands:
+                    rate = f"at {1e9 / self._period_ns:.4g} Hz"
+                    self._note(f"log times come more than once: frames without times are spread evenly, {rate}")
             self._step_ns = stamp - last
         self._last, self._last_wanted = (stamp, log_ns), wanted
         if fault is not None:
@@ -114,18 +117,15 @@ class StampClock:
         if self._source != "header":
             return log_ns
         repeats, still = wanted == self._last_wanted, log_ns <= 0
-        self._repeated.append((repeats, still))
-        self._coarse, stands = (3 * sum(came) >= len(self._repeated) for came in zip(*self._repeated, strict=True))
-        if still or stands:
+        self._repeated.append((repeats, log_ns == 0))
+        self._coarse, self._stands = (
+            3 * sum(came) >= len(self._repeated) for came in zip(*self._repeated, strict=True)
+        )
+        if still or self._stands:
             if not self._period_ns:
                 self._period_ns = max(round(1e9 / (self._rate_hz() or _RATE_HZ)), 1)
             log_ns = self._period_ns
-            if stands:
-                rate_hz = 1e9 / self._period_ns
-                self._note(
-                    f"log times come more than once: frames without times are spread evenly, at {rate_hz:.4g} Hz"
-                )
-        if self._step_ns and (repeats or still) and not self._coarse and not stands:
+        if self._step_ns and (repeats or still) and not (self._coarse or self._stands):
             return min(log_ns, max(self._step_ns * 9 // 10, 1))  # the next is not to be overtaken
         return log_ns
 
