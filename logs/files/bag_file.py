@@ -28,11 +28,12 @@ class BagFile(LogFile):
     time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
 
     Raises:
-        InputError: it cannot be read, or is no bag.
+        InputError: it cannot be read, or is no bag; SQLite has not yet put all messages into it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         path = Path(path)
+        _check_whole(path)
         self.lost = Counter()
         self._readers: list[Reader] = []
         self._scanned: UnindexedBag | None = None
@@ -96,6 +97,17 @@ def _is_ros1(path: Path) -> bool:
             return file.read(len(BAG_MAGIC)) == BAG_MAGIC
     except (OSError, ValueError):
         return False
+
+
+def _check_whole(path: Path) -> None:
+    """Raises InputError: the latest messages of a database are in SQLite's log beside it, which rosbags passes over."""
+    for database in path.glob("*.db3") if path.is_dir() else (path,):
+        beside = Path(f"{database}-wal")
+        if beside.is_file() and beside.stat().st_size:
+            raise InputError(
+                f"the latest messages of '{database}' are still in '{beside.name}' beside it, as a killed recorder "
+                f"leaves them: put them in with sqlite3 '{database}' 'PRAGMA wal_checkpoint'"
+            )
 
 
 def _readers(path: Path) -> Iterator[Reader]:

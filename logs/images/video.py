@@ -16,7 +16,15 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from frontend.sources.reading import UndecodableError
-from logs.messages.types import VideoPacket, ends_the_past, has_picture, is_b_picture, is_key_frame, is_leading
+from logs.messages.types import (
+    VideoPacket,
+    ends_the_past,
+    has_lengths,
+    has_picture,
+    is_b_picture,
+    is_key_frame,
+    is_leading,
+)
 
 _CODECS = {"h264": ("h264",), "h265": ("hevc",), "vp9": ("vp9",), "av1": ("libdav1d", "libaom-av1")}
 # The largest picture of the highest level of H.264 and H.265 (6.2); FFmpeg refuses more before it allocates.
@@ -74,6 +82,11 @@ class VideoDecoder:
             self._open(packet.format)
         if not packet.data:  # would mean the end of the stream
             raise UndecodableError("damaged video frame", "it is empty")
+        if has_lengths(packet):
+            raise UndecodableError(
+                "video with lengths in place of start codes (AVCC) is not readable",
+                "FFmpeg's h264_mp4toannexb mends it",
+            )
         if is_key_frame(packet):
             whole = ends_the_past(packet)
             if whole:

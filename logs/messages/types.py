@@ -98,6 +98,9 @@ VIDEO_FORMATS = {"h264": "h264|avc", "h265": "h265|hevc", "vp9": "vp9|vp09", "av
 Record = RawImage | EncodedImage | VideoPacket | CameraInfo
 
 
+UNKNOWN_FILE = "unknown image file"
+
+
 def container(data: Bytes) -> str:
     """The kind of an image file, by its first bytes, for people."""
     head = bytes(data[:12])
@@ -105,7 +108,7 @@ def container(data: Bytes) -> str:
         return "JPEG"
     if head.startswith(b"\x89PNG"):
         return "PNG"
-    return "WebP" if head[:4] == b"RIFF" and head[8:] == b"WEBP" else "unknown image file"
+    return "WebP" if head[:4] == b"RIFF" and head[8:] == b"WEBP" else UNKNOWN_FILE
 
 
 def stamp_ns(seconds: int, nanoseconds: int) -> int:
@@ -166,6 +169,18 @@ def ends_the_past(packet: VideoPacket) -> bool:
             return first < len(packet.data) and bool(packet.data[first] & 0x80)
         if 1 <= kind < 5 if h264 else kind < 16 or kind == 21:
             return False
+    return False
+
+
+def has_lengths(packet: VideoPacket) -> bool:
+    """Whether an H.264 or H.265 packet has lengths in place of start codes (AVCC, HVCC)."""
+    place = 0
+    for _ in range(_MOST_SEI):
+        if packet.format not in ("h264", "h265") or place + 4 >= len(packet.data):
+            return False
+        place += 4 + int.from_bytes(packet.data[place : place + 4], "big")
+        if place == len(packet.data):
+            return True
     return False
 
 

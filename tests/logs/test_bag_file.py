@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 from collections.abc import Sequence
 from contextlib import closing
@@ -236,3 +237,20 @@ def test_arbitrary_damage_never_raises_anything_else(tmp_path, place, noise, cut
 def small_bags(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     kinds = ("none", "lz4", "db3")
     return [write(tmp_path_factory.mktemp("small"), kind, range(2)).read_bytes() for kind in kinds]
+
+
+def test_messages_that_sqlite_has_not_put_into_the_file(tmp_path: Path) -> None:
+    folder = write(tmp_path, "sqlite", range(30))
+    (path,) = folder.glob("*.db3")
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA wal_autocheckpoint=0")
+    database.execute("UPDATE messages SET timestamp = timestamp + 1")
+    database.commit()
+    for log in (folder, path):
+        with pytest.raises(InputError, match=r"-wal' beside it.*PRAGMA wal_checkpoint"):
+            open_log(log)
+    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with closing(open_log(path)) as file:
+        assert [message.log_ns for message in file.messages(TOPIC)] == [stamp(number) + 1 for number in range(30)]
+    database.close()

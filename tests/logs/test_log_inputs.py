@@ -52,10 +52,15 @@ def files(image: np.ndarray, suffix: str) -> bytes:
         ("bayer_{}8;png", ".png", 8),
         ("bayer_{}8; jpeg compressed bayer_{}8", ".jpg", 8),
         ("bayer_{}16; png compressed ", ".png", 16),
+        ("bayer_{}10p; jpeg compressed ", ".jpg", 8),
+        ("bayer_{}12", ".png", 8),
+        ("bayer_{}; png", ".png", 8),
+        ("Bayer{2}8", ".png", 8),
+        ("BayerX; Bayer{2}12p", ".png", 8),
     ],
 )
 def test_compressed_mosaics_are_debayered(tmp_path: Path, pattern: str, text: str, suffix: str, bits: int) -> None:
-    text = text.replace("{}", pattern)
+    text = text.replace("{}", pattern).replace("{2}", pattern[:2].upper())
     seen = [mosaic(numbered(k), pattern).astype(np.uint16) << (bits - 8) for k in range(3)]
     data = [files(image.astype(np.uint8 if bits == 8 else np.uint16), suffix) for image in seen]
     messages = [compressed(one, stamp(k), text) for k, one in enumerate(data)]
@@ -365,6 +370,55 @@ def test_an_unreadable_topic_says_what_to_do(tmp_path: Path, messages: list[byte
     path = write_log(tmp_path / "a.mcap", {"/odd": logged(messages, kind=kind), "/left": other})
     with pytest.raises(InputError, match=rf"{re.escape(reason)}.*mcap\.md.*--topic takes another topic: /left"):
         list(McapImageSource(path, "/odd"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding"),
+    [
+        ("/oak/stereo/image_raw", "16UC1"),
+        ("/camera/depthImage", "mono16"),
+        ("/tof/range", "16UC1"),
+        ("/ouster/range_image", "mono16"),
+        ("/camera/rgbd", "16UC1"),
+    ],
+)
+def test_depth_by_its_other_names(tmp_path: Path, topic: str, encoding: str) -> None:
+    depth = logged([raw(DEPTH, stamp(0), encoding)], kind="Image")
+    with pytest.raises(InputError, match="is depth, which is measured, not seen"):
+        McapImageSource(write_log(tmp_path / "a.mcap", {topic: depth}))
+    seen = logged([raw(DEPTH, stamp(k), "mono16") for k in range(3)], kind="Image")
+    topics = {topic: depth, "/stereo/left/image_raw": seen}
+    assert len(list(McapImageSource(write_log(tmp_path / "b.mcap", topics)))) == 3
+
+
+def test_temperatures_are_called_values(tmp_path: Path) -> None:
+    kelvin = logged([raw(DEPTH.astype(np.float32), stamp(0), "32FC1")], kind="Image")
+    with pytest.raises(InputError, match="holds values such as temperature or depth, measured, not seen"):
+        McapImageSource(write_log(tmp_path / "a.mcap", {"/thermal/temperature": kelvin}))
+
+
+@pytest.mark.parametrize("text", ["", "16UC1", "16UC1; compresseddepth png"])
+def test_compressed_depth_by_its_topic_or_text(tmp_path: Path, text: str) -> None:
+    messages = logged([compressed(bytes(12) + files(DEPTH, ".png"), stamp(0), text)])
+    topic = "/camera/image/compressed" if "depth" in text else "/camera/image/compressedDepth"
+    with pytest.raises(InputError, match="measured, not seen"):
+        McapImageSource(write_log(tmp_path / "a.mcap", {topic: messages}))
+
+
+@pytest.mark.parametrize("text", ["jpeg; avc", "image/jpeg; camera=av1", "h264 like jpeg"])
+def test_the_bytes_tell_an_image_file_from_video(tmp_path: Path, text: str) -> None:
+    messages = logged([compressed(files(numbered(k), ".jpg"), stamp(k), text) for k in range(3)])
+    shown(McapImageSource(write_log(tmp_path / "a.mcap", {"/camera": messages})), count=3)
+
+
+def test_video_with_lengths_is_named(tmp_path: Path) -> None:
+    def lengths(data: bytes) -> bytes:
+        units = [unit for unit in re.split(b"\0?\0\0\1", data) if unit]
+        return b"".join(len(unit).to_bytes(4, "big") + unit for unit in units)
+
+    packets = [(k, lengths(data)) for k, data in pictures.x264(COUNT, "bframes=0")]
+    with pytest.raises(InputError, match=r"lengths in place of start codes \(AVCC\)"):
+        list(McapImageSource(video_log(tmp_path / "a.mcap", packets, "h264", rising=True)))
 
 
 def test_unknown_video_is_named(tmp_path: Path) -> None:
