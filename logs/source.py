@@ -217,7 +217,7 @@ class LogImageSource(Source):
     def _ordered(self, start_ns: int | None, number: int) -> Generator[Entry]:
         """The topic's readable messages with their numbers; with header times in the order of those, but for video."""
         order = StampOrder(lambda entry, reason: self._skip(entry.number, UndecodableError(reason)))
-        last: Entry | None = None
+        recent: deque[Entry] = deque(maxlen=WINDOW)  # video packets
         for message in self._file.messages(self._topic, start_ns):
             position, number = number, number + 1
             self._seen += 1
@@ -231,11 +231,11 @@ class LogImageSource(Source):
                 yield entry
             elif isinstance(entry.record, VideoPacket):
                 yield from order.flush()
-                if last is not None and entry.repeats(last):
+                if any(entry.repeats(other) for other in recent):
                     self._skip(position, UndecodableError("it repeats the frame before it"))
                 else:
+                    recent.append(entry)
                     yield entry
-                last = entry
             else:
                 yield from order.add(entry)
         yield from order.flush()

@@ -16,6 +16,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from frontend.sources.reading import UndecodableError
+from logs.images.numbering import FrameNumbers
 from logs.messages.types import (
     VideoPacket,
     ends_the_past,
@@ -47,7 +48,8 @@ class VideoDecoder:
     FFmpeg decides on that order and holds back no more pictures than the stream says it needs; if it does not say, as
     many as it may need. Nothing is decoded before a key frame, and after damage nothing up to the next one: every
     picture until then would be predicted from a wrong one. FFmpeg notices cut and nearly all damaged H.264 pictures and
-    missing H.265 ones, but few damaged H.265 and no missing H.264 ones, and of VP9 and AV1 what makes no sense.
+    missing H.265 ones, but few damaged H.265 ones, and of VP9 and AV1 what makes no sense. `FrameNumbers` notices
+    missing H.264 ones, and those out of order.
 
     Attributes:
         reorders: whether stamps that rise in file order were given to pictures in another order, see `feed`.
@@ -63,6 +65,7 @@ class VideoDecoder:
         self._has_b = False  # pictures are known to be out of order
         self._leads = False  # no picture of before the key frame is there
         self._fed = self._began = 0  # packets so far, and which of them recovery began with
+        self._numbers = FrameNumbers()
         self._inside = _Inside()
         self._held: list[tuple[int, Shown]] = []  # pictures behind one that has not come, and may be damaged
         self._ready: list[Shown] = []
@@ -87,6 +90,8 @@ class VideoDecoder:
                 "video with lengths in place of start codes (AVCC) is not readable",
                 "FFmpeg's h264_mp4toannexb mends it",
             )
+        if self._numbers.misses(packet):
+            self._drain()
         if is_key_frame(packet):
             whole = ends_the_past(packet)
             if whole:

@@ -241,6 +241,32 @@ def test_damage_among_delayed_pictures_makes_no_ghosts(tmp_path: Path, name: str
     assert shown_at not in numbers
 
 
+@pytest.mark.parametrize("name", ["h264", "h264 B", "h264 B pyramid", "h264 open B"])
+@pytest.mark.parametrize("fault", ["lost", "late", "swapped", "again"])
+@pytest.mark.parametrize("place", [5, 12, 14])
+def test_missing_and_late_packets_make_no_ghosts(tmp_path: Path, name: str, fault: str, place: int) -> None:
+    kind, make = STREAMS[name]
+    packets = make()
+    opened = name == "h264 open B"
+    if opened and (place, fault) == (12, "swapped"):
+        pytest.skip("a B-frame in front of the picture that it needs has no number that tells")
+    match fault:
+        case "lost":
+            del packets[place]
+        case "again":
+            packets.insert(place + 2, packets[place])
+        case _:
+            packets.insert(place + (1 if fault == "swapped" else 2), packets.pop(place))
+    source = McapImageSource(video_log(tmp_path / "a.mcap", packets, kind, rising=False))
+    frames = list(source)
+    numbers = [number_in(frame.image) for frame in frames]
+    assert [frame.stamp_ns for frame in frames] == [stamp(k) for k in numbers]
+    assert max(difference(frame.image, k) for k, frame in zip(numbers, frames, strict=True)) < 9
+    assert set(numbers) >= {*range(place // 12 * 12 - 3), *range(36 if opened else 24, COUNT)}
+    assert len(frames) + source.skipped == len(packets)
+    assert fault != "again" or len(frames) == COUNT
+
+
 def test_a_video_whose_headers_are_whole_seconds(tmp_path: Path) -> None:
     messages = (compressed(data, stamp(k) // 10**9 * 10**9, "h264") for k, (_, data) in enumerate(pictures.x264(COUNT)))
     source = McapImageSource(write_log(tmp_path / "a.mcap", {"/camera": logged(messages)}))
