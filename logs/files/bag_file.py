@@ -43,13 +43,11 @@ class BagFile(LogFile):
         try:
             try:
                 self._open(path)
-            except Exception:
+            except Exception as error:
                 if not path.is_dir():
                     raise
                 self._open(path, alone=True)
-                log.warning(
-                    "%s: its files are not those that metadata.yaml names: those that are there were read", path
-                )
+                log.warning("%s: %s; the files that are there were read", path, error)
                 self.lost["a part of the bag that is not there"] += 1
         except Exception as error:  # damage makes rosbags raise errors of many kinds
             if _is_ros1(path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Container
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import av
@@ -21,6 +22,7 @@ from logs.messages.types import (
     VideoPacket,
     ends_the_past,
     has_lengths,
+    has_only_parameters,
     has_picture,
     is_b_picture,
     is_key_frame,
@@ -30,6 +32,7 @@ from logs.messages.types import (
 _CODECS = {"h264": ("h264",), "h265": ("hevc",), "vp9": ("vp9",), "av1": ("libdav1d", "libaom-av1")}
 # The largest picture of the highest level of H.264 and H.265 (6.2); FFmpeg refuses more before it allocates.
 _MOST_PIXELS = 139_264 * 256
+_MOST_PARAMETERS = 1 << 16  # bytes
 _LONGEST_DELAY = 32  # packets; H.264 and H.265 allow 16
 
 
@@ -66,6 +69,7 @@ class VideoDecoder:
         self._leads = False  # no picture of before the key frame is there
         self._fed = self._began = 0  # packets so far, and which of them recovery began with
         self._numbers = FrameNumbers()
+        self._parameters = b""  # sets that came in packets of their own
         self._inside = _Inside()
         self._held: list[tuple[int, Shown]] = []  # pictures behind one that has not come, and may be damaged
         self._ready: list[Shown] = []
@@ -90,6 +94,11 @@ class VideoDecoder:
                 "video with lengths in place of start codes (AVCC) is not readable",
                 "FFmpeg's h264_mp4toannexb mends it",
             )
+        if has_only_parameters(packet):  # they belong to the next picture
+            self._parameters += bytes(packet.data[: _MOST_PARAMETERS - len(self._parameters)])
+            return []
+        if self._parameters:
+            packet, self._parameters = replace(packet, data=self._parameters + bytes(packet.data)), b""
         if self._numbers.misses(packet):
             self._drain()
         if is_key_frame(packet):

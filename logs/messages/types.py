@@ -191,6 +191,12 @@ def has_picture(packet: VideoPacket) -> bool:
     return any(1 <= kind <= 5 if packet.format == "h264" else kind < 32 for kind, _ in units(packet))
 
 
+def has_only_parameters(packet: VideoPacket) -> bool:
+    """Whether there are parameter sets in an H.264 or H.265 packet, and no picture."""
+    sets = (7, 8) if packet.format == "h264" else (32, 33, 34)
+    return not has_picture(packet) and any(kind in sets for kind, _ in units(packet))
+
+
 def is_leading(packet: VideoPacket) -> bool:
     """Whether an H.265 packet's picture is predicted from ones before the key frame in front of it (8, 9)."""
     return packet.format == "h265" and next((kind for kind, _ in units(packet) if kind < 32), None) in (8, 9)

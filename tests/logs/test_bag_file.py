@@ -277,4 +277,4 @@ def test_the_parts_of_a_bag_that_are_there(tmp_path: Path, gone: int | None, cap
         assert file.lost
     left = {0: range(20, 40), 1: range(20), None: range(40)}[gone]
     assert found == [stamp(number) for number in left]
-    assert "those that are there were read" in caplog.text
+    assert "the files that are there were read" in caplog.text

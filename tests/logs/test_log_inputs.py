@@ -263,7 +263,7 @@ def test_missing_and_late_packets_make_no_ghosts(tmp_path: Path, name: str, faul
     assert [frame.stamp_ns for frame in frames] == [stamp(k) for k in numbers]
     assert max(difference(frame.image, k) for k, frame in zip(numbers, frames, strict=True)) < 9
     assert set(numbers) >= {*range(place // 12 * 12 - 3), *range(36 if opened else 24, COUNT)}
-    assert len(frames) + source.skipped - len(packets) in ((0, 1) if opened else (0,))
+    assert len(frames) + source.skipped - len(packets) in ((-1, 0, 1) if opened else (0,))
     assert fault != "again" or len(frames) == COUNT
 
 
@@ -435,6 +435,23 @@ def test_compressed_depth_by_its_topic_or_text(tmp_path: Path, text: str) -> Non
 def test_the_bytes_tell_an_image_file_from_video(tmp_path: Path, text: str) -> None:
     messages = logged([compressed(files(numbered(k), ".jpg"), stamp(k), text) for k in range(3)])
     shown(McapImageSource(write_log(tmp_path / "a.mcap", {"/camera": messages})), count=3)
+
+
+@pytest.mark.parametrize("name", ["h264 B", "h265 B"])
+def test_parameter_sets_in_messages_of_their_own(tmp_path: Path, name: str) -> None:
+    kind, make = STREAMS[name]
+    picture = b"\0\0\1[\x06\x65]" if kind == "h264" else b"\0\0\1[\x26\x28\x2a\x4e]"
+    packets = []
+    for k, data in make():
+        found = re.search(picture, data)
+        if k % 12 == 0 and found is not None and found.start() > 4:
+            packets.append((k, data[: found.start()]))
+            data = data[found.start() :]
+        packets.append((k, data))
+    assert len(packets) > COUNT
+    source = McapImageSource(video_log(tmp_path / "a.mcap", packets, kind, rising=False))
+    shown(source)
+    assert source.skipped == 0
 
 
 def test_video_with_lengths_is_named(tmp_path: Path) -> None:
