@@ -200,6 +200,7 @@ class LogImageSource(Source):
                         packet = replace(record, stamp_ns=wanted_time(self._time_source, record.stamp_ns, message))
                         yield from video(decoder.video.feed(packet, number, message.log_ns))
                         continue
+                    yield from video(decoder.flush())
                     stamp_ns = clock.stamp(record.stamp_ns, message)
                     if stamp_ns < wanted_ns:
                         continue

@@ -454,6 +454,14 @@ def test_parameter_sets_in_messages_of_their_own(tmp_path: Path, name: str) -> N
     assert source.skipped == 0
 
 
+def test_images_behind_video_leave_none_of_it_inside(tmp_path: Path) -> None:
+    video = [compressed(data, stamp(k), "h264") for k, data in STREAMS["h264 B"][1]()]
+    images = [compressed(files(numbered(k), ".png"), stamp(k), "png") for k in range(COUNT, COUNT + 5)]
+    source = McapImageSource(write_log(tmp_path / "a.mcap", {"/camera": logged([*video, *images])}))
+    shown(source, count=COUNT + 5)
+    assert source.skipped == 0
+
+
 def test_video_with_lengths_is_named(tmp_path: Path) -> None:
     def lengths(data: bytes) -> bytes:
         units = [unit for unit in re.split(b"\0?\0\0\1", data) if unit]
