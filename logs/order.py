@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from bisect import bisect, insort
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import NamedTuple
 
 from logs.files import LogMessage
@@ -17,8 +18,7 @@ WINDOW = 8
 """A message may come so many messages late."""
 
 _HELD_BYTES = 256 << 20
-_REMEMBERED = 32  # stamps of messages that have gone
-_HOLE = 1.5  # frame periods between the neighbours of one that is missing
+_REMEMBERED = 32  # messages that have gone
 _END_NS = 2**63
 
 
@@ -38,6 +38,10 @@ class Entry(NamedTuple):
         return self.message.log_ns - self.record.stamp_ns
 
     @property
+    def times(self) -> tuple[int, int]:
+        return self.stamp_ns, self.delay_ns
+
+    @property
     def has_time(self) -> bool:
         return 0 < self.record.stamp_ns < _END_NS
 
@@ -49,9 +53,10 @@ class Entry(NamedTuple):
 class StampOrder:
     """Sorts messages by their own stamps, each at most `WINDOW` places forward; holds twice as many, or 256 MB.
 
-    A stamp that is lower than one before it is that of a late message if the others left a hole where it belongs, and
-    the delay between stamps and log falls again behind it. Otherwise a clock stepped back or a stamp is wrong: messages
-    keep their order then, and `StampClock` bridges the step.
+    Where a stamp is lower than one before it, the delays between stamps and log tell why. If all from there on are
+    larger than all before by more than half a frame period, the clock stepped back: messages keep their order there,
+    and `StampClock` bridges the step. If at most `WINDOW` just before have smaller delays than all others, their stamps
+    lie ahead and are wrong: the log's clock says when they were. Otherwise messages were logged late.
 
     Messages that come out are numbered in their new order.
 
@@ -61,16 +66,16 @@ class StampOrder:
 
     Attributes:
         late: messages so far that were put forward.
+        ahead: messages so far whose stamps lay ahead.
     """
 
     def __init__(self, refuse: Callable[[Entry, str], None]) -> None:
-        self.late = 0
+        self.late = self.ahead = 0
         self._refuse = refuse
         self._held: list[Entry] = []  # in the order of the log
         self._numbers: deque[int] = deque()  # of those
         self._bytes = 0
-        self._judged: set[int] = set()  # numbers of the late ones
-        self._past: deque[int] = deque(maxlen=_REMEMBERED)  # stamps that have gone, in order, since the last step
+        self._past: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)  # stamps and delays gone since the last step
         self._last: Entry | None = None
         self._step: int | None = None  # the place in `_held` of the first message behind a step
 
@@ -83,35 +88,31 @@ class StampOrder:
         self._numbers.append(entry.number)
         self._bytes += len(entry.record.data)
         while len(self._held) > 2 * WINDOW or (self._bytes > _HELD_BYTES and len(self._held) > 1):
-            yield from self._next(at_end=False)
+            yield from self._next()
 
     def flush(self) -> Iterator[Entry]:
         """The messages that are left."""
         while self._held:
-            yield from self._next(at_end=True)
+            yield from self._next()
 
-    def _next(self, at_end: bool) -> Iterator[Entry]:
+    def _next(self) -> Iterator[Entry]:
         """Decide on one message."""
-        if self._step is None and (fall := self._fall()) is not None:
-            late = self._late_from(fall, at_end)
-            self._judged.update(entry.number for entry in late)
-            if not late:
-                self._step = fall
+        if self._step is None:
+            self._judge()
         if self._step == 0:
             self._past.clear()
             self._step = None
         place = self._earliest()
         entry = self._held.pop(place)
         self._bytes -= len(entry.record.data)
-        self._judged.discard(entry.number)
         number = self._numbers.popleft()
         if self._step is not None:
             self._step -= 1
         if entry.has_time:
-            if self._past and entry.stamp_ns < self._past[-1]:
+            if self._past and entry.stamp_ns < self._past[-1][0]:
                 self._refuse(entry, "it was logged too late for its time")
                 return
-            self._past.append(entry.stamp_ns)
+            self._past.append(entry.times)
         self.late += place > 0
         self._last = entry
         yield entry._replace(number=number)
@@ -123,41 +124,51 @@ class StampOrder:
         near = range(min(len(self._held), WINDOW + 1) if self._step is None else min(self._step, WINDOW + 1))
         return min((place for place in near if self._held[place].has_time), key=lambda k: self._held[k].stamp_ns)
 
-    def _fall(self) -> int | None:
-        """The first place near the front whose stamp is lower than one before it."""
-        highest = self._past[-1] if self._past else 0
+    def _judge(self) -> None:
+        """Look for stamps near the front that are lower than one before, and mend those that lie ahead."""
+        highest = self._past[-1][0] if self._past else 0
         for place, entry in enumerate(self._held[: WINDOW + 1]):
-            if entry.has_time and entry.stamp_ns < highest and entry.number not in self._judged:
-                return place
-            highest = max(highest, entry.stamp_ns if entry.has_time else 0)
-        return None
+            if not entry.has_time:
+                continue
+            if entry.stamp_ns < highest and self._is_step(place):
+                self._step = place
+                return
+            highest = max(highest, entry.stamp_ns)
 
-    def _late_from(self, fall: int, at_end: bool) -> list[Entry]:
-        """The messages from a place on, up to where stamps go on rising, if they are late."""
-        before = [entry for entry in self._held[:fall] if entry.has_time]
-        behind = [entry for entry in self._held[fall:] if entry.has_time]
-        known = sorted({*self._past, *(entry.stamp_ns for entry in before)})
-        end = next((k for k, entry in enumerate(behind) if entry.stamp_ns > known[-1]), len(behind))
-        if end > WINDOW or (end == len(behind) and not at_end):
-            return []
-        steps = [b - a for a, b in pairwise(known)]
-        if len(steps) < WINDOW:
-            steps = [b - a for a, b in pairwise(sorted({*known, *(entry.stamp_ns for entry in behind)}))]
-        period = sorted(steps)[len(steps) // 3]
-        if before and end < len(behind) and _stays(before[-1], behind[: end + 1], period):
-            return []
-        for entry in behind[:end]:
-            place = bisect(known, entry.stamp_ns)
-            low = known[place - 1] if place else None
-            if low == entry.stamp_ns or (low is not None and known[place] - low < _HOLE * period):
-                return []
-            if low is None and self._past:
-                return []
-            insort(known, entry.stamp_ns)
-        return behind[:end]
+    def _is_step(self, fall: int) -> bool:
+        """Whether the clock stepped back there; if stamps before it lie ahead instead, they are mended."""
+        held = [place for place in range(fall) if self._held[place].has_time]
+        before = [*self._past, *(self._held[place].times for place in held)]
+        behind = [entry.times for entry in self._held[fall:] if entry.has_time]
+        if fall == 0 and len(behind) > WINDOW and max(behind)[0] < self._past[-1][0]:
+            return True  # else all of them would be left out
+        delays = sorted(delay for _, delay in behind)
+        stamps = sorted(stamp for stamp, _ in (before if len(before) > WINDOW else before + behind))
+        period = median(b - a for a, b in pairwise(stamps))
+        start = next((k for k in range(len(before), 0, -1) if before[k - 1][1] >= delays[0]), 0)
+        rest, low = [delay for _, delay in before[:start]], [delay for _, delay in before[start:]]
+        if not low:
+            return False
+        # Chance is not to look like a step where there are few to compare, nor a clock that runs at another rate.
+        gap = max(
+            period / 2,
+            (median(delays) - delays[0]) / len(low),
+            median(low[len(low) // 2 :]) - median(low[: (len(low) + 1) // 2]),
+        )
+        jump = delays[0] - max(low)
+        if jump <= max(gap, behind[0][1] - delays[0]) or (rest and min(rest) - max(low) <= gap):
+            return False
+        meets = any(abs(a - b) < 0.75 * period for a, _ in before[start:] for b, _ in behind)  # late ones leave a hole
+        others = rest + delays
+        if len(low) < len(others) and len(low) <= WINDOW:
+            if len(low) <= len(held) and jump > (median(others) - min(others) if meets else WINDOW * period):
+                self._mend(held[-len(low) :], rest[-1] if rest else delays[0])
+            return False
+        return len(behind) >= WINDOW or meets or sum(a > max(behind)[0] for a, _ in before) > WINDOW
 
-
-def _stays(before: Entry, behind: list[Entry], period: int) -> bool:
-    """Whether the delay jumps behind a message and stays: its clock stepped back, by chance into a hole."""
-    jumped = behind[0].delay_ns
-    return jumped - before.delay_ns > period / 2 and all(abs(entry.delay_ns - jumped) < period / 2 for entry in behind)
+    def _mend(self, places: list[int], delay_ns: int) -> None:
+        for place in places:
+            entry = self._held[place]
+            record = replace(entry.record, stamp_ns=entry.message.log_ns - delay_ns)
+            self._held[place] = entry._replace(record=record)
+        self.ahead += len(places)

@@ -192,7 +192,8 @@ class LogImageSource(Source):
 
     def _images(self) -> Iterator[tuple[int, int, Image]]:
         """Numbers, stamps and images in order; JPEG, PNG and WebP are decoded a few ahead, by threads."""
-        decoder, clock = ImageDecoder(), StampClock(self.name, self._time_source, self.notes)
+        decoder = ImageDecoder()
+        clock = StampClock(self.name, self._time_source, self.notes, lambda: mean_rate_hz(self._file, self._topic))
         start_ns, number = self._landing(clock) if self._start_ns else (None, 0)
         wanted_ns = self.first_stamp_ns + self._start_ns if self._start_ns else 0
         waiting: deque[tuple[int, int, Future[Still]]] = deque()
@@ -227,6 +228,7 @@ class LogImageSource(Source):
                         packet = replace(record, stamp_ns=wanted_time(self._time_source, record.stamp_ns, message))
                         yield from video(decoder.video.feed(packet, number, message.log_ns))
                         continue
+                    yield from video(decoder.flush())
                     stamp_ns = clock.stamp(record.stamp_ns, message)
                     if stamp_ns < wanted_ns:
                         continue
@@ -244,7 +246,7 @@ class LogImageSource(Source):
     def _ordered(self, start_ns: int | None, number: int) -> Generator[Entry]:
         """The topic's readable messages with their numbers; with header times in the order of those, but for video."""
         order = StampOrder(lambda entry, reason: self._skip(entry.number, UndecodableError(reason)))
-        last: Entry | None = None
+        recent: deque[Entry] = deque(maxlen=WINDOW)  # video packets
         for message in self._file.messages(self._topic, start_ns):
             position, number = number, number + 1
             self._seen += 1
@@ -258,17 +260,20 @@ class LogImageSource(Source):
                 yield entry
             elif isinstance(entry.record, VideoPacket):
                 yield from order.flush()
-                if last is not None and entry.repeats(last):
+                if any(entry.repeats(other) for other in recent):
                     self._skip(position, UndecodableError("it repeats the frame before it"))
                 else:
+                    recent.append(entry)
                     yield entry
-                last = entry
             else:
                 yield from order.add(entry)
         yield from order.flush()
         if order.late:
             what = "1 message that was" if order.late == 1 else f"{order.late} messages that were"
             self._note(f"{what} logged late came in order by header time; --time-source log keeps the log's order")
+        if order.ahead:
+            what = "1 header time" if order.ahead == 1 else f"{order.ahead} header times"
+            self._note(f"{what} ahead of all others gave way to the log's clock (--time-source log uses it throughout)")
 
     def _note_order(self, decoder: ImageDecoder) -> None:
         if decoder.reorders:

@@ -14,6 +14,7 @@ from logs.images.decoder import ImageDecoder
 from logs.messages.readers import (
     DepthError,
     check_seen,
+    depth_word,
     is_calibration_type,
     is_image_type,
     read_message,
@@ -64,10 +65,11 @@ def choose_seen(file: LogFile, wanted: str | None) -> tuple[str, bool]:
     depth = [name for name in (images if wanted is None else [wanted]) if _is_depth(file, name)]
     if depth and len(depth) == len(images if wanted is None else [wanted]):
         others = image_topics(file, but=wanted)
+        named = "is depth, which is" if depth_word(depth[0]) else "holds values such as temperature or depth,"
         what = f"choose a topic with pictures by --topic: {others}" if others else "the log has no other images"
         raise InputError(
-            f"{_listed({depth[0]: file.topics[depth[0]]})} is depth, which is measured, not seen, and has no lines to "
-            f"track: {what}"
+            f"{_listed({depth[0]: file.topics[depth[0]]})} {named} measured, not seen, and has no lines "
+            f"to track: {what}"
         )
     seen = {name: topic for name, topic in file.topics.items() if name not in depth}
     return choose_topic(seen, wanted), bool(depth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from airline.errors import InputError
 from logs.files import LogFile, LogMessage, Topic, TopicType
 from logs.files.bag_scan import BAG_MAGIC, UnindexedBag
 
+log = logging.getLogger(__name__)
+
 Reader = rosbag1.Reader | rosbag2.Reader
 
 
@@ -28,27 +31,31 @@ class BagFile(LogFile):
     time is its log time. ROS 1 types are of the encoding "ros1", those of ROS 2 "cdr".
 
     Raises:
-        InputError: it cannot be read, or is no bag.
+        InputError: it cannot be read, or is no bag; SQLite has not yet put all messages into it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         path = Path(path)
+        _check_whole(path)
         self.lost = Counter()
         self._readers: list[Reader] = []
         self._scanned: UnindexedBag | None = None
-        with ExitStack() as opened:
+        try:
             try:
-                for reader in _readers(path):
-                    opened.enter_context(reader)
-                    self._readers.append(reader)
-            except Exception as error:  # damage makes rosbags raise errors of many kinds
-                if _is_ros1(path):
-                    self._take(UnindexedBag(path))
-                    return
-                raise InputError(
-                    f"cannot read the bag '{path}' ({error}): if its recording was interrupted, reindex it"
-                ) from error
-            self._opened = opened.pop_all()
+                self._open(path)
+            except Exception as error:
+                if not path.is_dir():
+                    raise
+                self._open(path, alone=True)
+                log.warning("%s: %s; the files that are there were read", path, error)
+                self.lost["a part of the bag that is not there"] += 1
+        except Exception as error:  # damage makes rosbags raise errors of many kinds
+            if _is_ros1(path):
+                self._take(UnindexedBag(path))
+                return
+            raise InputError(
+                f"cannot read the bag '{path}' ({error}): if its recording was interrupted, reindex it"
+            ) from error
         counts: Counter[str] = Counter()
         types: dict[str, TopicType] = {}
         for connection in chain.from_iterable(reader.connections for reader in self._readers):
@@ -67,6 +74,14 @@ class BagFile(LogFile):
 
     def close(self) -> None:
         self._opened.close()
+
+    def _open(self, path: Path, alone: bool = False) -> None:
+        self._readers.clear()
+        with ExitStack() as opened:
+            for reader in _readers(path, alone):
+                opened.enter_context(reader)
+                self._readers.append(reader)
+            self._opened = opened.pop_all()
 
     def _take(self, scanned: UnindexedBag) -> None:
         self._scanned, self._opened = scanned, ExitStack()
@@ -98,10 +113,22 @@ def _is_ros1(path: Path) -> bool:
         return False
 
 
-def _readers(path: Path) -> Iterator[Reader]:
+def _check_whole(path: Path) -> None:
+    """Raises InputError: the latest messages of a database are in SQLite's log beside it, which rosbags passes over."""
+    for database in path.glob("*.db3") if path.is_dir() else (path,):
+        beside = Path(f"{database}-wal")
+        if beside.is_file() and beside.stat().st_size:
+            raise InputError(
+                f"the latest messages of '{database}' are still in '{beside.name}' beside it, as a killed recorder "
+                f"leaves them: put them in with sqlite3 '{database}' 'PRAGMA wal_checkpoint'"
+            )
+
+
+def _readers(path: Path, alone: bool) -> Iterator[Reader]:
+    """The readers of a bag; of a folder's files each alone if that is wanted, or there is no metadata."""
     if not path.is_dir():
         yield rosbag1.Reader(path) if _is_ros1(path) else rosbag2.Reader(path)
-    elif (path / "metadata.yaml").is_file():
+    elif (path / "metadata.yaml").is_file() and not alone:
         yield rosbag2.Reader(path)
     else:
         files = natsorted(child for child in path.iterdir() if child.suffix in (".db3", ".mcap"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Container, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import av
@@ -16,11 +17,22 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from frontend.sources.reading import UndecodableError
-from logs.messages.types import VideoPacket, ends_the_past, has_picture, is_b_picture, is_key_frame, is_leading
+from logs.images.numbering import FrameNumbers
+from logs.messages.types import (
+    VideoPacket,
+    ends_the_past,
+    has_lengths,
+    has_only_parameters,
+    has_picture,
+    is_b_picture,
+    is_key_frame,
+    is_leading,
+)
 
 _CODECS = {"h264": ("h264",), "h265": ("hevc",), "vp9": ("vp9",), "av1": ("libdav1d", "libaom-av1")}
 # The largest picture of the highest level of H.264 and H.265 (6.2); FFmpeg refuses more before it allocates.
 _MOST_PIXELS = 139_264 * 256
+_MOST_PARAMETERS = 1 << 16  # bytes
 _LONGEST_DELAY = 32  # packets; H.264 and H.265 allow 16
 
 
@@ -56,7 +68,8 @@ class VideoDecoder:
     FFmpeg decides on that order and holds back no more pictures than the stream says it needs; if it does not say, as
     many as it may need. Nothing is decoded before a key frame, and after damage nothing up to the next one: every
     picture until then would be predicted from a wrong one. FFmpeg notices cut and nearly all damaged H.264 pictures and
-    missing H.265 ones, but few damaged H.265 and no missing H.264 ones, and of VP9 and AV1 what makes no sense.
+    missing H.265 ones, but few damaged H.265 ones, and of VP9 and AV1 what makes no sense. `FrameNumbers` notices
+    missing H.264 ones, and those out of order.
 
     Attributes:
         reorders: whether stamps that rise in file order were given to pictures in another order, see `feed`.
@@ -72,6 +85,8 @@ class VideoDecoder:
         self._has_b = False  # pictures are known to be out of order
         self._leads = False  # no picture of before the key frame is there
         self._fed = self._began = 0  # packets so far, and which of them recovery began with
+        self._numbers = FrameNumbers()
+        self._parameters = b""  # sets that came in packets of their own
         self._inside = _Inside()
         self._held: list[tuple[int, Shown]] = []  # pictures behind one that has not come, and may be damaged
         self._ready: list[Shown] = []
@@ -91,6 +106,18 @@ class VideoDecoder:
             self._open(packet.format)
         if not packet.data:  # would mean the end of the stream
             raise UndecodableError("damaged video frame", "it is empty")
+        if has_lengths(packet):
+            raise UndecodableError(
+                "video with lengths in place of start codes (AVCC) is not readable",
+                "FFmpeg's h264_mp4toannexb mends it",
+            )
+        if has_only_parameters(packet):  # they belong to the next picture
+            self._parameters += bytes(packet.data[: _MOST_PARAMETERS - len(self._parameters)])
+            return []
+        if self._parameters:
+            packet, self._parameters = replace(packet, data=self._parameters + bytes(packet.data)), b""
+        if self._numbers.misses(packet):
+            self._drain()
         if is_key_frame(packet):
             whole = ends_the_past(packet)
             if whole:

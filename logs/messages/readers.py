@@ -29,12 +29,14 @@ from frontend.sources.reading import Bytes, UndecodableError
 from logs.messages.compression import unzipped
 from logs.messages.types import (
     BAYER,
+    UNKNOWN_FILE,
     VIDEO_FORMATS,
     CameraInfo,
     EncodedImage,
     RawImage,
     Record,
     VideoPacket,
+    container,
     sniffed_video_format,
     stamp_ns,
     video_format,
@@ -48,9 +50,28 @@ _IMAGES = {"Image", "RawImage", "CompressedImage", "CompressedVideo", "FFMPEGPac
 _CALIBRATIONS = {"CameraInfo", "CameraCalibration"}
 # Text that image_transport and others put into CompressedImage.format: "bayer_rggb8; jpeg compressed ". What the file
 # holds stands last, if it was converted: "bayer_rggb8; jpeg compressed bgr8".
-_ENCODING = re.compile(r"\b(?:bayer_[rgb]{4}|mono|rgba?|bgra?)(?:8|16)\b|\b(?:8|16|32|64)[USF]C[1-4]\b", re.IGNORECASE)
+_ENCODING = re.compile(
+    r"\b(?:bayer_?[rgb]{2,4}\d*p?|(?:mono|rgba?|bgra?)(?:8|16)|(?:8|16|32|64)[USF]C[1-4])\b", re.IGNORECASE
+)
+# ROS names the four pixels, GenICam the first two: BayerRG12p. What is in a file has 8 or 16 bits.
+_MOSAIC = re.compile(r"bayer_?(rg|bg|gb|gr)[rgb]{0,2}(\d*)p?", re.IGNORECASE)
+_ROWS = {"rg": "rggb", "bg": "bggr", "gb": "gbrg", "gr": "grbg"}
 _PNG_16_BIT = re.compile(rb"\x89PNG.{20}\x10[\0\4]", re.DOTALL)  # grey
-_SEEN = {"color", "colour", "rgb", "ir", "infra", "infrared", "mono", "intensity", "amplitude", "thermal", "confidence"}
+_SEEN = {
+    "left",
+    "right",
+    "color",
+    "colour",
+    "rgb",
+    "ir",
+    "infra",
+    "infrared",
+    "mono",
+    "intensity",
+    "amplitude",
+    "thermal",
+    "confidence",
+}
 _LONGEST_FORMAT = 200
 _FLOATS = ("32FC1", "64FC1")
 _Uint32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
@@ -155,18 +176,24 @@ def check_seen(record: Record, topic: str) -> None:
         encoding = record.encoding or ("mono16" if _PNG_16_BIT.match(record.data) else "")
     else:
         return
-    named = _depth_word(topic)
+    if isinstance(record, EncodedImage) and topic.lower().endswith("/compresseddepth"):
+        raise DepthError(encoding)
+    named = depth_word(topic, encoding)
     grey = ("16UC1", "mono16", *(("mono8", "8UC1") if named == "disparity" else ()))
     if encoding in _FLOATS or (named is not None and encoding in grey):
         raise DepthError(encoding)
 
 
-def _depth_word(topic: str) -> str | None:
+def depth_word(topic: str, encoding: str = "16UC1") -> str | None:
+    """What a topic's name says that images of an encoding are: "depth", "disparity", or neither."""
     for part in reversed(topic.lower().split("/")):
         words = re.split("[^a-z]+", part)
-        for word in ("disparity", "depth"):
-            if word in words:
-                return word
+        if "disparity" in words:
+            return "disparity"
+        if any(word.startswith("depth") or word in ("range", "rgbd") for word in words):
+            return "depth"
+        if "stereo" in words and encoding == "16UC1":  # DepthAI
+            return "depth"
         if not _SEEN.isdisjoint(words):
             return None
     return None
@@ -227,12 +254,15 @@ def _record(kind: str, message: Any) -> Record:
         if video is None:
             raise UndecodableError("video format is not readable", f"{text[:40]!r}, only {', '.join(VIDEO_FORMATS)}")
         return VideoPacket(*head, video, data)
-    if header is not None and "compressedDepth" in text:
+    if header is not None and "compresseddepth" in text.lower():
         raise DepthError(text[:60].strip())
-    if header is not None and (video := video_format(text) or sniffed_video_format(data)):
+    is_file = container(data) != UNKNOWN_FILE
+    if header is not None and not is_file and (video := video_format(text) or sniffed_video_format(data)):
         return VideoPacket(*head, video, data)
     named = _ENCODING.findall(text[:_LONGEST_FORMAT])
     inside = named[-1] if named else ""
+    if mosaic := _MOSAIC.fullmatch(inside):
+        inside = f"bayer_{_ROWS[mosaic[1].lower()]}{16 if mosaic[2] == '16' else 8}"
     known = (*BAYER, "16UC1", *_FLOATS)
     return EncodedImage(*head, data, next((name for name in known if name.lower() == inside.lower()), ""))
 

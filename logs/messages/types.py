@@ -98,6 +98,9 @@ VIDEO_FORMATS = {"h264": "h264|avc", "h265": "h265|hevc", "vp9": "vp9|vp09", "av
 Record = RawImage | EncodedImage | VideoPacket | CameraInfo
 
 
+UNKNOWN_FILE = "unknown image file"
+
+
 def container(data: Bytes) -> str:
     """The kind of an image file, by its first bytes, for people."""
     head = bytes(data[:12])
@@ -105,7 +108,7 @@ def container(data: Bytes) -> str:
         return "JPEG"
     if head.startswith(b"\x89PNG"):
         return "PNG"
-    return "WebP" if head[:4] == b"RIFF" and head[8:] == b"WEBP" else "unknown image file"
+    return "WebP" if head[:4] == b"RIFF" and head[8:] == b"WEBP" else UNKNOWN_FILE
 
 
 def stamp_ns(seconds: int, nanoseconds: int) -> int:
@@ -144,7 +147,7 @@ def is_key_frame(packet: VideoPacket) -> bool:
     if packet.format == "av1":
         return _has_av1_sequence(packet.data)
     h264 = packet.format == "h264"
-    for kind, place in _units(packet):
+    for kind, place in units(packet):
         if kind in ((5, 7) if h264 else (*range(16, 22), 32, 33)) or (h264 and _is_recovery_point(packet.data, place)):
             return True
         if 1 <= kind < 5 if h264 else kind < 16:
@@ -160,7 +163,7 @@ def ends_the_past(packet: VideoPacket) -> bool:
     h264 = packet.format == "h264"
     if packet.format not in ("h264", "h265"):
         return False
-    for kind, place in _units(packet):
+    for kind, place in units(packet):
         if kind == 5 if h264 else 16 <= kind <= 20:
             first = place + (1 if h264 else 2)
             return first < len(packet.data) and bool(packet.data[first] & 0x80)
@@ -169,27 +172,45 @@ def ends_the_past(packet: VideoPacket) -> bool:
     return False
 
 
+def has_lengths(packet: VideoPacket) -> bool:
+    """Whether an H.264 or H.265 packet has lengths in place of start codes (AVCC, HVCC)."""
+    place = 0
+    for _ in range(_MOST_SEI):
+        if packet.format not in ("h264", "h265") or place + 4 >= len(packet.data):
+            return False
+        place += 4 + int.from_bytes(packet.data[place : place + 4], "big")
+        if place == len(packet.data):
+            return True
+    return False
+
+
 def has_picture(packet: VideoPacket) -> bool:
     """Whether there is more than parameter sets and the like in a packet."""
     if packet.format not in ("h264", "h265"):
         return True
-    return any(1 <= kind <= 5 if packet.format == "h264" else kind < 32 for kind, _ in _units(packet))
+    return any(1 <= kind <= 5 if packet.format == "h264" else kind < 32 for kind, _ in units(packet))
+
+
+def has_only_parameters(packet: VideoPacket) -> bool:
+    """Whether there are parameter sets in an H.264 or H.265 packet, and no picture."""
+    sets = (7, 8) if packet.format == "h264" else (32, 33, 34)
+    return not has_picture(packet) and any(kind in sets for kind, _ in units(packet))
 
 
 def is_leading(packet: VideoPacket) -> bool:
     """Whether an H.265 packet's picture is predicted from ones before the key frame in front of it (8, 9)."""
-    return packet.format == "h265" and next((kind for kind, _ in _units(packet) if kind < 32), None) in (8, 9)
+    return packet.format == "h265" and next((kind for kind, _ in units(packet) if kind < 32), None) in (8, 9)
 
 
 def is_b_picture(packet: VideoPacket) -> bool:
     """Whether an H.264 packet's first slice is of type B (1 or 6), behind the number 0 of its first block."""
     if packet.format != "h264":
         return False
-    first = next((place for kind, place in _units(packet) if 1 <= kind <= 5), len(packet.data)) + 1
+    first = next((place for kind, place in units(packet) if 1 <= kind <= 5), len(packet.data)) + 1
     return first < len(packet.data) and (packet.data[first] >> 4 == 0b1010 or packet.data[first] >> 2 == 0b100111)
 
 
-def _units(packet: VideoPacket) -> Iterator[tuple[int, int]]:
+def units(packet: VideoPacket) -> Iterator[tuple[int, int]]:
     """Kind and place of the NAL units of an H.264 or H.265 packet."""
     for unit in re.finditer(b"\0\0\1(?=(.))", packet.data, re.DOTALL):
         yield (unit[1][0] & 31 if packet.format == "h264" else unit[1][0] >> 1 & 63), unit.end()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 from collections.abc import Sequence
 from contextlib import closing
@@ -236,3 +237,44 @@ def test_arbitrary_damage_never_raises_anything_else(tmp_path, place, noise, cut
 def small_bags(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     kinds = ("none", "lz4", "db3")
     return [write(tmp_path_factory.mktemp("small"), kind, range(2)).read_bytes() for kind in kinds]
+
+
+def test_messages_that_sqlite_has_not_put_into_the_file(tmp_path: Path) -> None:
+    folder = write(tmp_path, "sqlite", range(30))
+    (path,) = folder.glob("*.db3")
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA wal_autocheckpoint=0")
+    database.execute("UPDATE messages SET timestamp = timestamp + 1")
+    database.commit()
+    for log in (folder, path):
+        with pytest.raises(InputError, match=r"-wal' beside it.*PRAGMA wal_checkpoint"):
+            open_log(log)
+    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with closing(open_log(path)) as file:
+        assert [message.log_ns for message in file.messages(TOPIC)] == [stamp(number) + 1 for number in range(30)]
+    database.close()
+
+
+@pytest.mark.parametrize("gone", [0, 1, None])
+def test_the_parts_of_a_bag_that_are_there(tmp_path: Path, gone: int | None, caplog: pytest.LogCaptureFixture) -> None:
+    """One of two parts is missing, or one is renamed."""
+    folder = write(tmp_path, "sqlite", range(20))
+    (first,) = folder.glob("*.db3")
+    (tmp_path / "second").mkdir()
+    (second,) = write(tmp_path / "second", "sqlite", range(20, 40)).glob("*.db3")
+    parts = [first, second.rename(folder / "plain_1.db3")]
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text()
+    line = next(line for line in text.splitlines() if line.strip() == f"- {first.name}")
+    metadata.write_text(text.replace(line, f"{line}\n{line.replace(first.name, 'plain_1.db3')}", 1))
+    if gone is None:
+        parts[0].rename(folder / "0_other.db3")
+    else:
+        parts[gone].unlink()
+    with closing(open_log(folder)) as file:
+        found = [message.log_ns for message in file.messages(TOPIC)]
+        assert file.lost
+    left = {0: range(20, 40), 1: range(20), None: range(40)}[gone]
+    assert found == [stamp(number) for number in left]
+    assert "the files that are there were read" in caplog.text

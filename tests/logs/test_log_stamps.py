@@ -88,10 +88,37 @@ def test_one_header_that_comes_twice_changes_nothing_else() -> None:
     assert stamps(headers, [100 * k for k in range(5)])[0] == [*headers[:2], headers[1] + 100, *headers[3:]]
 
 
+@pytest.mark.parametrize(
+    ("period", "slower"), [(SECOND // 10, 1), (SECOND // 20, 1), (33 * SECOND // 1000, 1), (SECOND // 10, 2)]
+)
+@pytest.mark.parametrize("twice", [10, 11, 13])
+def test_one_round_header_that_comes_twice_changes_nothing_else(period: int, slower: int, twice: int) -> None:
+    """At exact rates, and in a simulation at half the speed."""
+    true = [EPOCH + k * period for k in range(60)]
+    headers = [*true[: twice + 1], true[twice], *true[twice + 2 :]]
+    found, _ = stamps(headers, [EPOCH + k * period * slower + k * 7919 % 5 * period // 20 for k in range(60)])
+    assert [a for a, b in zip(found, true, strict=True) if a != b] == [found[twice + 1]]
+    assert abs((found[twice + 1] or 0) - true[twice + 1]) <= period // 4
+
+
+@pytest.mark.parametrize("logged", ["as headers", "still"])
+@pytest.mark.parametrize("headers", ["seconds", "zero"])
+def test_frames_are_spread_where_the_log_counts_no_finer(headers: str, logged: str) -> None:
+    true = [EPOCH + 300_000_000 + k * SECOND // 20 for k in range(100)]
+    seconds = [time // SECOND * SECOND for time in true]
+    notes: list[str] = []
+    clock = StampClock("drive", "header", notes, lambda: 20.0)
+    found = [
+        clock.stamp(0 if headers == "zero" else time, message(EPOCH if logged == "still" else time)) for time in seconds
+    ]
+    assert {b - a for a, b in pairwise(found)} == {SECOND // 20}
+    assert abs(found[0] - true[0]) < SECOND
+    assert any("spread evenly, at 20 Hz" in note for note in notes)
+
+
 def test_repeated_frames_and_stopped_clocks_are_refused() -> None:
     assert stamps([0, 0, 0], [1, 1, 3], "log")[0] == [1, None, 3]
     assert stamps([0, 0, 0], [1, 1, 3], "publish")[0] == [8, None, 10]
-    assert stamps([EPOCH, 0, EPOCH + 1], [5, 5, 6])[0] == [EPOCH, None, EPOCH + 1]
     assert stamps([0, 0], [2**64 - 1, 3])[0] == [None, 3]
 
 
