@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airline.command import EXIT_USER_ERROR, print_errors
-from airline.errors import AirLineError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.cli import wiring
 from frontend.cli.flags import build_parser, settings_of
 from frontend.cli.signals import ending_like_interrupts, exit_code_of
@@ -86,6 +86,8 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
             for publisher in publishers:
                 print(f"publishing at {publisher.address}", flush=True)
             save, viewer = wiring.where_to_record(options, source.name, server)
+            if config.recording.layer is not None and save is None and viewer is None:
+                raise ConfigError("a layer goes into a recording: give --save FILE.rrd or a viewer")
 
             said = 0
             ours: list[str] = []
@@ -135,7 +137,7 @@ def process(
     from frontend.warm_up import compile_ahead
 
     if compile_ahead():
-        print("compiling for this processor, once: about a quarter of a minute", flush=True)
+        print("compiling for this processor, once: a quarter of a minute to a whole one", flush=True)
     frontend = open_frontend(config)
     counter = SummaryCounter(config.tracker.confirm_hits)
     code = 0
@@ -183,11 +185,15 @@ def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> N
 
 
 def report(options: argparse.Namespace, summary: Summary, save: Path | None, track_files: list[list[Path]]) -> None:
-    """Print the figures and what was written where; write the --summary."""
+    """Write the --summary; print the figures and what was written where."""
     from rich.console import Console
 
+    if options.summary is not None:  # before anything is printed to somebody who may not listen any more
+        written = write_summary(options.summary, summary)
     console = Console()
-    console.print(summary.table(boxed=console.is_terminal))
+    with console.capture() as table:
+        console.print(summary.table(boxed=console.is_terminal))
+    print(table.get(), end="")
     if summary.frames:
         if save is not None and save.exists():
             print(f"saved {save}; look at it with: rerun {shlex.quote(str(save))}")
@@ -195,13 +201,17 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
             if files[0].exists():  # it may have been removed, or have been left unfinished
                 look = f"; look at it with: python -m viz.replay {shlex.quote(str(files[0]))}"
                 print(f"wrote {spec}{look if files[0].suffix in ('.mcap', '.parquet') else ''}")
-    if options.summary is not None:
-        try:
-            options.summary.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                f"cannot write --summary {options.summary} ({error.strerror}): choose another file"
-            ) from None
+    if options.summary is not None and written is not None:
+        raise written
+
+
+def write_summary(path: Path, summary: Summary) -> InputError | None:
+    """Write the figures as JSON; returns why that cannot be done."""
+    try:
+        path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        return InputError(f"cannot write --summary {path} ({error.strerror}): choose another file")
+    return None
 
 
 if __name__ == "__main__":

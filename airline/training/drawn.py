@@ -77,6 +77,8 @@ def read_drawn(folder: Path, images: Sequence[Path]) -> dict[Path, Drawn]:
             raise InputError(f"{owners[0].name} has lines in {found[owners[0]].source} and in {drawn.source}: keep one")
         else:
             found[owners[0]] = drawn
+    if not folder.is_dir():
+        raise InputError(f"there is no folder of labels {folder}")
     if not found:
         raise InputError(f"no labels of the images in {folder} ({len(strays)} of others): give NAME.txt for NAME.jpg, "
                          "or Wireframe's JSON")  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -90,6 +91,15 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     def __post_init__(self) -> None:
         if self.layer is not None and self.recording_id is None:
             raise ConfigError("a layer belongs to somebody's recording: give its id with --recording-id")
+        names = self.frame_timeline, self.time_timeline
+        if self.layer is None and (self.coordinate_frame is not None or names != ("frame", "sensor_time")):
+            raise ConfigError("--coordinate-frame and the timelines' names are for layers: give --layer ENTITY, too")
+        if names[0] == names[1]:
+            raise ConfigError(f"frames and times need timelines of their own, not both '{names[0]}'")
+        if self.layer is not None and not re.fullmatch(r"/?[\w.-]+(/[\w.-]+)*", self.layer):
+            raise ConfigError(f"'{self.layer}' is no entity for a layer: give a path such as camera/image")
+        if self.layer is not None and self.layer.lstrip("/").startswith("__"):
+            raise ConfigError(f"'{self.layer}' belongs to Rerun: give another entity")
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

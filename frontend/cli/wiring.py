@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from viz.video import VideoPackets
     from viz.viewer import WebViewer
 
-PROBED = 32  # packets of a video in which B-frames are looked for
+PROBED = 128  # packets of a video in which B-frames are looked for
 
 log = logging.getLogger(__name__)
 

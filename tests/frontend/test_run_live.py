@@ -53,7 +53,7 @@ def test_a_first_start_says_that_it_compiles(clip: Path, tmp_path: Path, monkeyp
     with python(clip, "--save", tmp_path / "run.rrd", stdout=subprocess.PIPE) as child:
         said = child.stdout.readline()
         child.kill()
-    assert said == "compiling for this processor, once: about a quarter of a minute\n"
+    assert said == "compiling for this processor, once: a quarter of a minute to a whole one\n"
 
 
 def test_a_reader_that_leaves_is_no_traceback(clip: Path) -> None:

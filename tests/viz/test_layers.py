@@ -77,8 +77,21 @@ def test_a_layer_has_the_tracks_alone(tmp_path, blueprint, more):
     assert not reader.blueprints()
 
 
-def test_a_layer_needs_the_id_of_its_recording(images, tmp_path):
-    assert "--recording-id" in refusal(images, "--save", tmp_path / "run.rrd", "--layer", "cam0/lines")
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ("--save run.rrd --layer cam0/lines", "--recording-id"),
+        ("--save run.rrd --recording-id a --layer /", "no entity"),
+        ("--save run.rrd --recording-id a --layer __properties/x", "belongs to Rerun"),
+        ("--save run.rrd --recording-id a --layer x --frame-timeline t --time-timeline t", "not both 't'"),
+        ("--save run.rrd --frame-timeline picture", "are for layers"),
+        ("--save run.rrd --coordinate-frame cam", "are for layers"),
+        ("--out t.csv --recording-id a --layer x", "give --save"),
+    ],
+)
+def test_layers_that_cannot_be(images, tmp_path, monkeypatch, flags, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refusal(images, "--headless", *flags.split())
 
 
 @needs_viewer
