@@ -65,8 +65,8 @@ def _write_folders(folder: Path, images: Images) -> None:
     cv2.imwrite(str(folder / "photo.jpg"), images[0])
     for k in (0, 12):  # larger, as photographs that are moved must be
         cv2.imwrite(str(folder / "photos" / f"{k}.jpg"), cv2.resize(images[k], None, fx=2, fy=2))
-    (folder / "lines").mkdir()
-    (folder / "lines" / "0.txt").write_text("10 20 300 200\n")
+    (folder / "drawn").mkdir()
+    (folder / "drawn" / "0.txt").write_text("10 20 300 200\n")
 
 
 def _write_log(path: Path, images: Images) -> Path:
