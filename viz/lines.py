@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
 from frontend.space import checked_lines, checked_pose
-from frontend.tracking.selection import Selection
+from frontend.tracking.selection import best
 from frontend.tracks import LineTracks
 from viz.rerun_private import CORNER, packed, strips_2d, strips_3d
 
@@ -59,33 +59,55 @@ class TrackLog:
         self._rest = rest
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
-        self._shown, self._bold = Selection(SHOWN_LINES), Selection(BOLD_LINES)
+        self._shown, self._bold = _Best(SHOWN_LINES), _Best(BOLD_LINES)
 
     def write(self, tracks: LineTracks, size: Size) -> None:
         """Log one frame's tracks; `size` is the image's width and height, px."""
         scale = picture_scale(size)
-        shown = self._shown.of(tracks.take(tracks.confirmed), size)
-        bold = self._bold.of(shown, size)
-        radii = scale * np.where(np.isin(shown.ids, bold.ids), BOLD_RADIUS, THIN_RADIUS)
-        self._log_seen(f"{self._root}/tracks", shown, radii)
+        confirmed = np.flatnonzero(tracks.confirmed)
+        shown = confirmed[self._shown.rows(tracks, confirmed, size)]
+        bold = self._bold.rows(tracks, shown, size)
+        radii = np.full(len(shown), scale * THIN_RADIUS)
+        radii[bold] = scale * BOLD_RADIUS
+        self._log_seen(f"{self._root}/tracks", tracks, shown, radii)
         if self._rest:
-            rest = tracks.take(~np.isin(tracks.ids, shown.ids))
-            self._log_seen(f"{self._root}/tracks/rest", rest, scale * THIN_RADIUS)
+            rest = np.delete(np.arange(len(tracks)), shown)
+            self._log_seen(f"{self._root}/tracks/rest", tracks, rest, scale * THIN_RADIUS)
             recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
             ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
             grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
             log_lines(self._stream, f"{self._root}/tracks/lost", segments, grey, scale * FAINT_RADIUS, ids)
         if self._tails is not None:
-            ids, points, lengths = self._tails.add(tracks, bold.ids, scale * TAIL_LENGTH)
+            ids, points, lengths = self._tails.add(tracks, tracks.ids[shown[bold]], scale * TAIL_LENGTH)
             dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
             strips = _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS)
             self._stream.log(f"{self._root}/tails", strips)
 
-    def _log_seen(self, entity: str, tracks: LineTracks, radii: NDArray[np.float64] | float) -> None:
-        colours = track_colours(tracks.ids)
-        fragments = tracks.fragment_of >= 0
+    def _log_seen(
+        self, entity: str, tracks: LineTracks, rows: NDArray[np.intp], radii: NDArray[np.float64] | float
+    ) -> None:
+        ids = tracks.ids[rows]
+        colours = track_colours(ids)
+        fragments = tracks.fragment_of[rows] >= 0
         colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-        log_lines(self._stream, entity, tracks.segments_px, colours, radii, tracks.ids, measured=tracks.measured)
+        log_lines(self._stream, entity, tracks.segments_px[rows], colours, radii, ids, measured=tracks.measured[rows])
+
+
+class _Best:
+    """Which of a frame's tracks are the best `count`, steadily from frame to frame."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._taken = np.zeros(0, np.int64)
+
+    def rows(self, tracks: LineTracks, among: NDArray[np.intp], size: Size) -> NDArray[np.intp]:
+        """Places in `among`, which are rows of tracks."""
+        chosen = np.arange(len(among))
+        if len(among) > self._count:
+            some = tracks.take(among)
+            chosen = best(some, size, self._count, np.isin(some.ids, self._taken))
+        self._taken = tracks.ids[among[chosen]]
+        return chosen
 
 
 class Tails:
