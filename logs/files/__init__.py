@@ -111,8 +111,9 @@ def _is_bag_folder(folder: Path) -> bool:
         if (folder / "metadata.yaml").is_file():
             with (folder / "metadata.yaml").open("rb") as file:
                 return b"rosbag2_bagfile_information" in file.read(4096)
-        return folder.is_dir() and any(
-            child.suffix in (".db3", ".mcap") and child.stem.rpartition("_")[2].isdigit() for child in folder.iterdir()
-        )
+        if not folder.is_dir():
+            return False
+        stems = [child.stem.rpartition("_") for child in folder.iterdir() if child.suffix in (".db3", ".mcap")]
+        return len({bag for bag, *_ in stems}) == 1 and all(number.isdigit() for *_, number in stems)
     except (OSError, ValueError):  # no permission; a name that no file can have
         return False

@@ -63,6 +63,8 @@ class BagFile(LogFile):
             types[connection.topic] = _type(connection)
         self.topics = {name: Topic(types[name], count) for name, count in counts.items() if count}
         self.kind = "ROS 1 bag" if _is_ros1(path) else "ROS 2 bag"
+        if len(self._readers) > 1:
+            self.kind += f" of {len(self._readers)} files without metadata.yaml, one after the other"
         self.name = path.stem if path.is_file() else path.resolve().name
         spans = [(reader.start_time, reader.end_time - 1) for reader in self._readers if reader.message_count]
         self.span_ns = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
