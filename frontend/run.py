@@ -115,10 +115,9 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                     yield wiring.open_recording(save, viewer, source.name, config, None if turned else video, facts)
 
             code, summary = process(source, config, sinks)
-        for note in summary.notes[said:]:
-            print(f"note: {note}")
+        late = summary.notes[said:]
         summary.notes.extend(ours)
-        report(options, summary, save, track_files)
+        report(options, summary, late, save, track_files)
         if server is not None and code == 0:
             wiring.wait_for_interrupt(server)
     return code
@@ -184,12 +183,16 @@ def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> N
             taken[place] = "another output"
 
 
-def report(options: argparse.Namespace, summary: Summary, save: Path | None, track_files: list[list[Path]]) -> None:
-    """Write the --summary; print the figures and what was written where."""
+def report(
+    options: argparse.Namespace, summary: Summary, notes: list[str], save: Path | None, track_files: list[list[Path]]
+) -> None:
+    """Write the --summary; print the notes that came late, the figures and what was written where."""
     from rich.console import Console
 
-    if options.summary is not None:  # before anything is printed to somebody who may not listen any more
-        written = write_summary(options.summary, summary)
+    # before anything is printed to somebody who may not listen any more
+    error = None if options.summary is None else write_summary(options.summary, summary)
+    for note in notes:
+        print(f"note: {note}")
     console = Console()
     with console.capture() as table:
         console.print(summary.table(boxed=console.is_terminal))
@@ -201,8 +204,8 @@ def report(options: argparse.Namespace, summary: Summary, save: Path | None, tra
             if files[0].exists():  # it may have been removed, or have been left unfinished
                 look = f"; look at it with: python -m viz.replay {shlex.quote(str(files[0]))}"
                 print(f"wrote {spec}{look if files[0].suffix in ('.mcap', '.parquet') else ''}")
-    if options.summary is not None and written is not None:
-        raise written
+    if error is not None:
+        raise error
 
 
 def write_summary(path: Path, summary: Summary) -> InputError | None:

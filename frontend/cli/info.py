@@ -73,10 +73,10 @@ def properties(spec: str | None, source: Source, first: Frame, config: RunConfig
         "size": [width, height],
         "calibration": source.calibration or ("none" if first.camera is None else "the input's own"),
         "preset": config.preset,
-        "weights": config.detector.edges.weights,
-        "weights_sha256": sha256_of(config.detector.edges.weights),
         "settings": dump(config),
     }
+    if (edges := config.detector.edges).detector == "unet":
+        facts |= {"weights": edges.weights, "weights_sha256": sha256_of(edges.weights)}
     if notes:
         facts["notes"] = list(notes)
     if (camera := first.camera) is not None:
