@@ -123,7 +123,7 @@ def test_drawn_lines_beside_consensus_and_alone(photographs, tmp_path, caplog):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (("--labels", "file"), "no labels of the images in file"),
+        (("--labels", "file"), "there is no folder of labels file"),
         (("--labels", "folder"), "no labels of the images in folder"),
         (("--drawn-only",), "--drawn-only needs drawn lines"),
         (("--start", "fast"), "argument --start: not allowed with argument --model"),
