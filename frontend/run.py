@@ -16,7 +16,7 @@ from airline.command import EXIT_USER_ERROR, print_errors
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.cli import wiring
 from frontend.cli.flags import build_parser, settings_of
-from frontend.cli.signals import ending_like_interrupts, exit_code_of
+from frontend.cli.signals import ending_like_interrupts, exit_code_of, ignore_more
 from frontend.cli.terminal import progress, set_up_logging
 
 if TYPE_CHECKING:
@@ -218,4 +218,6 @@ def write_summary(path: Path, summary: Summary) -> InputError | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    ignore_more(code)
+    sys.exit(code)

@@ -91,3 +91,10 @@ def uninterrupted() -> Iterator[None]:
 def exit_code_of(interrupt: KeyboardInterrupt) -> int:
     """What a shell expects: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
     return interrupt.code if isinstance(interrupt, Terminated) else EXIT_INTERRUPTED
+
+
+def ignore_more(code: int) -> None:
+    """Before a process ends with such a code: told again while Python shuts down, it would be killed."""
+    for name in _NAMES:
+        if hasattr(signal, name) and code == 128 + getattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
