@@ -39,7 +39,7 @@ def describe(source: Source) -> str:
         "rate": "?" if rate is None else f"{rate:.4g} frames/s",
         "orientation": source.orientation,
         "codec": source.codec or "?",
-        "calibration": source.calibration or ("none" if first.camera is None else "from the input itself"),
+        "calibration": _calibration(source, first),
     }
     if (camera := first.camera) is not None:
         lens = "no distortion" if camera.distortion == "none" else camera.distortion
@@ -54,12 +54,11 @@ def introduce(source: Source, first: Frame, notes: Sequence[str], results: Seque
     """
     count, rate = _count(source), _rate_hz(source, first)
     known = source.kind, _size(first), f"{count} frames" if count else "", f"{rate:.4g} frames/s" if rate else ""
+    calibration = _calibration(source, first)
     if first.camera is None:
-        calibration = "none, so lines are in pixels alone: --calib FILE gives one"
-    elif source.calibration is None:
-        calibration = "from the input itself"
-    else:
-        calibration = f"{source.calibration}{f'; --calib {NO_CALIBRATION} leaves it out' if found else ''}"
+        calibration += ", so lines are in pixels alone: --calib FILE gives one"
+    elif source.calibration is not None and found:
+        calibration += f"; --calib {NO_CALIBRATION} leaves it out"
     return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, notes, results)
 
 
@@ -71,7 +70,7 @@ def properties(spec: str | None, source: Source, first: Frame, config: RunConfig
         "input": "built-in clip" if spec is None else without_password(spec),
         "kind": source.kind,
         "size": [width, height],
-        "calibration": source.calibration or ("none" if first.camera is None else "the input's own"),
+        "calibration": _calibration(source, first),
         "preset": config.preset,
         "settings": dump(config),
     }
@@ -90,6 +89,10 @@ def properties(spec: str | None, source: Source, first: Frame, config: RunConfig
 def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:
     pairs = [*rows.items(), *(("writing", result) for result in results)]
     return "\n".join([*(f"{name + ':':<12} {value}" for name, value in pairs), *(f"note: {note}" for note in notes)])
+
+
+def _calibration(source: Source, first: Frame) -> str:
+    return source.calibration or ("none" if first.camera is None else "from the input itself")
 
 
 def _size(frame: Frame) -> str:

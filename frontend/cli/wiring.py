@@ -136,7 +136,7 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
 def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | None:
     """The input's file, or a log's packets, if they stand for the frames in the recording."""
     from frontend.sources import kinds
-    from frontend.sources.listing import is_pattern
+    from frontend.sources.image_names import is_pattern
     from logs.files import is_log
 
     if config.recording.image != "video" or config.recording.layer is not None:

@@ -36,7 +36,7 @@ def open_source(
 
     from frontend.sources import address, kinds
     from frontend.sources.folder import FolderSource
-    from frontend.sources.listing import IMAGE_SUFFIXES, is_pattern
+    from frontend.sources.image_names import IMAGE_SUFFIXES, is_pattern
     from frontend.sources.live import LiveSource
 
     text = kinds.local_name(spec)

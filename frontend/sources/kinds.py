@@ -192,14 +192,14 @@ def _inside(start: bytes, packing: _Packing, out: Path) -> str:
 
 
 def _named(name: str) -> str:
-    from frontend.sources.listing import IMAGE_SUFFIXES
+    from frontend.sources.image_names import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 
     suffix = Path(name).suffix.lower()
     if suffix in LOG_SUFFIXES or name.lower().endswith(".bag.active"):
         return "a log"
     if suffix in IMAGE_SUFFIXES:
         return "images"
-    return "a video" if suffix in (".mp4", ".mkv", ".avi", ".mov", ".webm") else ""
+    return "a video" if suffix in VIDEO_SUFFIXES else ""
 
 
 def _is_still(start: bytes) -> bool:

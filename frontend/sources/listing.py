@@ -13,10 +13,8 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -24,10 +22,20 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from statistics import median
 from typing import NamedTuple
 
-from natsort import natsorted, ns
+from natsort import natsorted
 
 from airline.errors import ConfigError, InputError
-from frontend.sources.names import Times, plausible, times_in
+from frontend.sources.image_names import (
+    image_folders,
+    images_in,
+    is_image_name,
+    matching,
+    nothing_in,
+    nothing_like,
+    some,
+    unread_in,
+)
+from frontend.sources.names import plausible, times_in
 from frontend.sources.streams import choose_frames, says_depth
 from frontend.sources.tables import (
     are_dates_or_since_1970,
@@ -40,14 +48,6 @@ from frontend.sources.tables import (
     unit_said,
 )
 
-IMAGE_SUFFIXES = frozenset(
-    {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".dib", ".tif", ".tiff", ".webp"}
-    | {".pbm", ".pgm", ".ppm", ".pnm", ".pam", ".gif", ".avif", ".heic", ".heif"}
-)
-_LOGS = {".mcap", ".bag", ".db3"}
-_VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"}
-_UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".tga", ".raw"}
-_PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
 _LONG_STEP = 10 * 10**9  # ns
 _MOST_TABLES = 100
 _MOST_FOLDERS = 8  # of images, of which the first is taken
@@ -92,23 +92,23 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     try:
         if root.is_dir():
             images = images_in(root)
-            notes = [f"left out for their format: {_some(unread)}"] if images and (unread := _unread(root)) else []
+            notes = [f"left out for their format: {some(unread)}"] if images and (unread := unread_in(root)) else []
             found = _euroc(root) or _tum(root) or _kitti_raw(root) or _timed_by_line(root, images, notes)
             listing = found or _plain(images, fps, (root, root.parent), notes)
         elif root.exists():
             listing = replace(_named_by_time([root], []) or Listing([ImageRow(root, 0)]), kind="one image")
         else:
-            images = _matching(str(root))
+            images = matching(str(root))
             parents = list(dict.fromkeys(path.parent for path in images))
             listing = _plain(images, fps, (parents[0], parents[0].parent) if len(parents) == 1 else (), [])
     except (OSError, ValueError) as error:  # no permission; a name that no file can have
         raise InputError(f"cannot read '{root}': {error}") from error
-    if listing is None and root.is_dir() and 0 < len(inside := _image_folders(root)) <= _MOST_FOLDERS:
+    if listing is None and root.is_dir() and 0 < len(inside := image_folders(root)) <= _MOST_FOLDERS:
         listing = list_images(root / inside[0], fps)
-        others = f", not {_some(inside[1:])}" if inside[1:] else ""
+        others = f", not {some(inside[1:])}" if inside[1:] else ""
         return replace(listing, notes=(f"the images of its folder '{inside[0]}' are taken{others}", *listing.notes))
     if listing is None:
-        raise InputError(_nothing_in(root) if root.is_dir() else _nothing_like(root))
+        raise InputError(nothing_in(root) if root.is_dir() else nothing_like(root))
     for before, after in pairwise(listing.rows):
         if after.stamp_ns == before.stamp_ns:
             raise InputError(
@@ -176,7 +176,7 @@ def _timed_by_line(root: Path, images: list[Path], notes: list[str]) -> Listing 
         if images and table.is_file():
             return _by_line(table, images, "KITTI sequence", [])
     for table in (folder / name for folder in (root, root.parent) for name in _OTHER_TIMES):
-        if images and table.is_file() and not any(map(_is_image_name, fields_of(",".join(lines_of(table)[:2])))):
+        if images and table.is_file() and not any(map(is_image_name, fields_of(",".join(lines_of(table)[:2])))):
             try:
                 return _by_line(table, images, f"images with times in '{table.name}'", [])
             except InputError as error:
@@ -214,23 +214,22 @@ def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Li
     if len(stamps) == len(images):
         rows_ = [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]
         return Listing(rows_, kind, tuple(notes))
-    if None not in numbers and len(stamps) > len(images) and max(map(_number, numbers)) < len(stamps):
+    places = [number for number in numbers if number is not None]
+    if len(places) == len(images) < len(stamps) and max(places) < len(stamps):
         notes.append(
             f"'{table.name}' has {len(stamps)} times for {len(images)} images: each takes that of its number, from 0"
         )
-        rows_ = [ImageRow(path, stamps[_number(n)]) for path, n in zip(images, numbers, strict=True)]
+        rows_ = [ImageRow(path, stamps[place]) for path, place in zip(images, places, strict=True)]
         return _in_order(rows_, kind, notes)
     raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
 
 
 def _are_ids(texts: Sequence[str], images: list[Path]) -> bool:
     """Whether a column names the images, or counts them."""
-    numbers = [_whole(text) for text in texts]
-    if None in numbers:
+    numbers = [number for text in texts if (number := _whole(text)) is not None]
+    if len(numbers) < len(texts):
         return False
-    if {_whole(path.stem) for path in images} <= set(numbers):
-        return True
-    return all(b == a + 1 for a, b in pairwise(map(_number, numbers)))
+    return {_whole(path.stem) for path in images} <= set(numbers) or all(b == a + 1 for a, b in pairwise(numbers))
 
 
 def _time_column(columns: Sequence[Sequence[str]], heading: Sequence[str]) -> int | None:
@@ -243,10 +242,6 @@ def _time_column(columns: Sequence[Sequence[str]], heading: Sequence[str]) -> in
 
 def _whole(text: str) -> int | None:
     return int(text) if re.fullmatch(r"[0-9]{1,30}", text) else None
-
-
-def _number(value: int | None) -> int:
-    return 0 if value is None else value
 
 
 def _plain(images: list[Path], fps: float, folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
@@ -264,17 +259,13 @@ def _named_by_time(images: list[Path], notes: list[str]) -> Listing | None:
     times = times_in([path.stem for path in images])
     if times is None:
         return None
-    _note_odd(times, images, notes)
+    odd = [path.name for place, path in enumerate(images) if place not in times.stamps]
+    if odd:
+        notes.append(f"left out of {len(images)} images for want of a time in the name: {some(odd)}")
     if times.words != "nanoseconds":
         notes.append(f"times are from the images' names, taken for {times.words} by their form and size")
     rows = [ImageRow(images[place], stamp) for place, stamp in times.stamps.items()]
     return _in_order(rows, "images named by their time", notes)
-
-
-def _note_odd(times: Times, images: list[Path], notes: list[str]) -> None:
-    odd = [path.name for place, path in enumerate(images) if place not in times.stamps]
-    if odd:
-        notes.append(f"left out of {len(images)} images for want of a time in the name: {_some(odd)}")
 
 
 def _in_order(rows: list[ImageRow], kind: str, notes: list[str]) -> Listing:
@@ -357,7 +348,7 @@ def _named_and_timed(
     if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
         return [], []
     columns = list(zip(*rows, strict=True))
-    names = [column for column, texts in enumerate(columns) if _is_image_name(texts[0])]
+    names = [column for column, texts in enumerate(columns) if is_image_name(texts[0])]
     pairs = []
     for column in names or range(len(columns) if known else 0):
         if says_depth(Path(columns[column][0])) or (not names and len(set(columns[column])) < len(rows)):
@@ -385,86 +376,9 @@ def _beside(name: str, table: Path, known: dict[str, Path]) -> Path | None:
         place = table.parent / inside(name, table)
         return place if place.is_file() else None
     path = PurePosixPath(name.replace("\\", "/"))
-    image = known.get(path.name) or known.get(path.stem if _is_image_name(name) else str(_whole(name)))
+    image = known.get(path.name) or known.get(path.stem if is_image_name(name) else str(_whole(name)))
     elsewhere = path.parent.name not in ("", "..") and not PureWindowsPath(name).root  # absolute: from another machine
     return None if image is None or (elsewhere and path.parent.name != image.parent.name) else image
-
-
-def _is_image_name(text: str) -> bool:
-    return Path(text).suffix.lower() in IMAGE_SUFFIXES
-
-
-def _is_image(path: Path) -> bool:
-    return _is_image_name(path.name) and not path.name.startswith(".") and path.is_file()
-
-
-def images_in(folder: Path) -> list[Path]:
-    """The images of a folder by their suffix, in natural order."""
-    return _ordered([path for path in folder.iterdir() if _is_image(path)])
-
-
-def _unread(folder: Path) -> list[str]:
-    return natsorted(path.name for path in folder.iterdir() if path.suffix.lower() in _UNREAD)
-
-
-def _ordered(images: list[Path]) -> list[Path]:
-    """Images by the numbers in their names: some below zero, or all of them hexadecimal and equally long."""
-    stems = [path.stem for path in images]
-    below_zero = {bool(re.search(r"(?<![^_ =])-\d", stem)) for stem in stems} == {True, False}
-    ends = [re.fullmatch("(.*?)([0-9a-f]+|[0-9A-F]+)", stem) for stem in stems]
-    forms = {(end[1], len(end[2])) if end else None for end in ends}
-    if len(forms) == 1 and None not in forms and not all(end and end[2].isdecimal() for end in ends):
-        return sorted(images)
-    key = ns.REAL if below_zero else ns.DEFAULT
-    return natsorted(images, key=lambda path: (str(path.parent), path.stem, path.suffix), alg=key)
-
-
-def _matching(pattern: str) -> list[Path]:
-    """The images that a glob pattern or one with a number (`%06d`, `####`) means."""
-    files = [Path(name) for name in glob.glob(pattern, recursive=True)]  # noqa: PTH207
-    if not files and _PRINTF.search(pattern):
-        parts, end = [("", "")], 0
-        for found in _PRINTF.finditer(pattern):
-            plain = pattern[end : found.start()]
-            width = len(found[3]) if found[3] else int(found[2] or 1) if found[1] != "%" else 0
-            parts += [(re.escape(plain), glob.escape(plain)), (rf"\d{{{width},}}", "*") if width else ("%", "%")]
-            end = found.end()
-        parts.append((re.escape(pattern[end:]), glob.escape(pattern[end:])))
-        expression = re.compile("".join(part[0] for part in parts))
-        names = glob.glob("".join(part[1] for part in parts))  # noqa: PTH207
-        files = [Path(name) for name in names if expression.fullmatch(name)]
-    return _ordered([file for file in files if _is_image(file)])
-
-
-def is_pattern(spec: str) -> bool:
-    """Whether a text that names no file is a pattern for several."""
-    return bool(glob.has_magic(spec) or _PRINTF.search(spec))
-
-
-def _nothing_like(root: Path) -> str:
-    return f"no image matches '{root}'" if is_pattern(str(root)) else f"there is no folder or image '{root}'"
-
-
-def _image_folders(root: Path) -> list[str]:
-    """Folders with images in a folder, in natural order, without those of depth where there are others."""
-    inside = natsorted(child.name for child in root.iterdir() if child.is_dir() and images_in(child))
-    return [name for name in inside if not says_depth(Path(name))] or inside
-
-
-def _nothing_in(root: Path) -> str:
-    """Why a folder is none of images, and what to give."""
-    children = list(root.iterdir())
-    inside = _image_folders(root)
-    if inside:
-        return f"'{root}' holds no image; its folder '{inside[0]}' has some: give that or another"
-    for suffixes, what in ((_LOGS, "recordings"), (_VIDEOS, "videos")):
-        found = natsorted(child.name for child in children if child.suffix.lower() in suffixes)
-        if found:
-            more = f", or all of them to python -m frontend.batch: '{root}/*{Path(found[0]).suffix}'"
-            return f"'{root}' holds no image but {what}: name one, such as '{found[0]}'{more if found[1:] else ''}"
-    others = Counter(child.suffix for child in children if child.suffix and child.is_file()).most_common(1)
-    has = f" but files '{others[0][0]}'" if others else ""
-    return f"'{root}' holds no image{has}: give a folder of images or a video file"
 
 
 def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:
@@ -475,7 +389,7 @@ def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:
         first = fields_of(names[0])[0] if names else ""
         if not first:
             raise InputError(f"'{table}' has a line that is not a time and a file name: {line[:60]!r}")
-        rows.append([stamp.strip("\"'"), first if _is_image_name(first) else names[0].strip("\"' ")])
+        rows.append([stamp.strip("\"'"), first if is_image_name(first) else names[0].strip("\"' ")])
     _, rows = split_heading(rows)
     if not rows:
         raise InputError(f"'{table}' lists no image")
@@ -483,9 +397,3 @@ def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:
     notes: list[str] = []
     stamps = stamps_of([stamp for stamp, _ in rows], table, unit, notes)
     return Listing([ImageRow(path, stamp) for path, stamp in zip(paths, stamps, strict=True)], kind, tuple(notes))
-
-
-def _some(names: list[str]) -> str:
-    """Three of them, and how many more."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(f"'{name}'" for name in names[:3]) + more

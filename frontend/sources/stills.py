@@ -148,7 +148,7 @@ def _orientation(image: ImageFile) -> int:
     exif = Exif()
     try:
         exif.load(image.info.get("exif", b""))
-    except Exception:
+    except Exception:  # whatever Pillow raises for damaged data
         return 1
     stated: Any = image.info.get("original_orientation", exif.get(Base.Orientation))  # the former of HEIC
     return stated if stated in range(1, 9) else 1
