@@ -39,6 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     # read when torch loads: threads that spin while they wait stall each other when anything else is running
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     set_up_logging(options.verbose)
+    code = 0
     try:
         from frontend.cli.settings import dump, load
 
@@ -54,7 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
                 print(describe(source))
         else:
             with ending_like_interrupts():
-                return run(options, config)
+                code = run(options, config)
+        sys.stdout.flush()
     except AirLineError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USER_ERROR
@@ -63,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # of `| head`: nobody reads what is left, nor would Python's own flush at the end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
-    return 0
+    return code
 
 
 def run(options: argparse.Namespace, config: RunConfig) -> int:

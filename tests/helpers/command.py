@@ -55,8 +55,9 @@ def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
 
 
 def python(*arguments: object, module: str = "frontend.run", **options: Any) -> subprocess.Popen[str]:
-    """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell."""
+    """Start a command line in a process of its own, with SIGINT as in a foreground job of a shell, stdout buffered."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
+    environment.pop("PYTHONUNBUFFERED", None)
     start = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     start += f"runpy.run_module('{module}', run_name='__main__', alter_sys=True)"
     return subprocess.Popen([sys.executable, "-c", start, *map(str, arguments)], env=environment, text=True, **options)
