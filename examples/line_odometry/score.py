@@ -9,7 +9,7 @@ import numpy as np
 from evo.core.metrics import APE, PoseRelation, StatisticsType
 from evo.core.trajectory import PosePath3D
 
-from line_odometry.geometry import TINY, Array
+from line_odometry.views import TINY, Array
 
 MAX_ANGLE = 10.0  # degrees between a line and the one that it is near to
 STEP = 0.01  # share of the depth between samples of a line

@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from line_odometry.clips import Seen
-from line_odometry.geometry import Array
+from line_odometry.views import Array
 from line_odometry.score import Aligned
 
 TRUTH, OURS, LINES = (120, 120, 120), (80, 200, 120), (90, 170, 255)
