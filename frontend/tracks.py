@@ -165,13 +165,14 @@ class LineTracks:
         Int64,
         Field(
             "point followed beside the lines, ascending, never used again; one that is not here has ended",
+            columns="point_id",
             rows="points",
             older=0,
         ),
     ] = field(default_factory=_no_ids)
     points_px: Annotated[
         Float32,
-        Field("where it is in this frame, a corner of the image", "px", (2,), "points_x points_y", "points", older=0),
+        Field("where it is in this frame, a corner of the image", "px", (2,), "point_x point_y", "points", older=0),
     ] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     camera: CameraModel | None = None
     reset: str | None = None
@@ -292,7 +293,7 @@ DERIVED = (  # follow from the others where the camera is known
         "points_normalized",
         "the point undistorted, on the plane z = 1; NaN without a camera and where its lens model ends",
         shape=(2,),
-        columns="points_u points_v",
+        columns="point_u point_v",
         rows="points",
     ),
 )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from airline.errors import ConfigError, InputError
-from logs.sinks.output import check_csv, check_folder, check_new, check_table, frames_table_of, journal_of
+from logs.sinks.output import check_csv, check_folder, check_new, check_table, journal_of, tables_of
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
@@ -56,8 +56,7 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
 def files_of(spec: str) -> list[Path]:
     """What an output writes: the file or folder that it is named after, and what lies beside it."""
     kind, path = kind_and_path(spec)
-    beside = {"csv": frames_table_of, "parquet": journal_of}
-    return [path, beside[kind](path)] if kind in beside else [path]
+    return [path, *(tables_of(path) if kind == "csv" else [journal_of(path)] if kind == "parquet" else [])]
 
 
 def check(spec: str, overwrite: bool = False) -> None:

@@ -161,7 +161,20 @@ def _joined(frames: list[LineTracks]) -> LineTracks:
 def _values(tracks: LineTracks, one: Field) -> NDArray[Any]:
     values = getattr(tracks, one.name)
     count = len(getattr(tracks, ROWS[one.rows][1]))
-    return np.zeros((count, *one.shape), one.dtype) if values is None else np.asarray(values, one.dtype)
+    return np.full((count, *one.shape), np.nan, one.dtype) if values is None else np.asarray(values, one.dtype)
+
+
+def points_of(frames: Sequence[LineTracks]) -> pa.Table:
+    """A row for each point of each frame, in columns named as those of a table of lines that hold lists of them."""
+    counts = [len(tracks.point_ids) for tracks in frames]
+    columns: dict[str, Any] = {
+        "stamp_ns": np.repeat(np.array([tracks.stamp_ns for tracks in frames], np.int64), counts),
+        "frame": np.repeat(np.array([tracks.frame_index for tracks in frames], np.int64), counts),
+    }
+    for one in (one for one in _PER_FRAME if one.rows == "points"):
+        values = np.concatenate([_values(tracks, one) for tracks in frames])
+        columns |= zip((name for name, _ in one.numbers), values.reshape(len(values), -1).T, strict=True)
+    return pa.table(columns)
 
 
 def needed_columns(schema: pa.Schema) -> list[str]:

@@ -15,7 +15,7 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
 from logs.sinks.open import open_track_sink
 from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, write_all
 
@@ -102,7 +102,8 @@ def expected(tracks: list[LineTracks], csv: bool) -> Columns:
 
     def joined(one: Field, seen: LineTracks) -> Any:
         found = getattr(seen, one.name)
-        return np.full((len(seen), *one.shape), np.nan if csv else None) if found is None else found
+        rows = len(getattr(seen, ROWS[one.rows][1]))
+        return np.full((rows, *one.shape), np.nan if csv else None) if found is None else found
 
     columns: Columns = {
         "stamp_ns": ("<i8", [one.stamp_ns for one in tracks for _ in one.ids]),
@@ -110,9 +111,16 @@ def expected(tracks: list[LineTracks], csv: bool) -> Columns:
     }
     for field in (*FIELDS, *DERIVED):
         names, kind = [name for name, _ in field.numbers], field.dtype.str
-        per_frame = [[list(joined(field, one).ravel())] + [None] * (len(one) - 1) for one in tracks if len(one)]
         if field.rows != "seen":
-            columns[names[0]] = f"{kind} list", [cell for cells in per_frame for cell in cells]
+            for k, name in enumerate(names):
+                cells = [
+                    None
+                    if field in DERIVED and one.camera is None
+                    else [*joined(field, one).reshape(-1, len(names))[:, k]]
+                    for one in tracks
+                ]
+                spread = [[cell] + [None] * (len(one) - 1) for cell, one in zip(cells, tracks, strict=True) if len(one)]
+                columns[name] = f"{kind} list", [cell for row in spread for cell in row]
         elif field.name == "descriptors":
             rows = [list(row) for one in tracks for row in one.descriptors]
             columns["descriptor"] = f"{kind} list", rows
