@@ -14,7 +14,7 @@ from frontend.tracking.flow import WorkingImage, flow, same_light
 
 MOST_POINTS = 200
 SPACING = 0.4  # between points, over what it would be on a grid of as many; half of that once they move
-QUALITY = 0.03  # of the weakest corner, over the strongest one's
+QUALITY = 0.05  # of the weakest corner, over the strongest one's
 BORDER = 5  # px inside the image in which a point is followed
 SEARCH = 4  # px in which a corner of the working image is found in the full one
 FINE: dict[str, Any] = {
@@ -22,6 +22,7 @@ FINE: dict[str, Any] = {
     "maxLevel": 0,
     "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01),
     "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+    "minEigThreshold": 2e-3,  # a camera's noise alone makes a corner of half that, which flow finds anywhere
 }
 MAX_RETURN = 0.3  # px, forward-backward error
 MAX_REFINED = 1.5  # px of the working image, from where the flow there ends
@@ -35,7 +36,7 @@ class PointTracker:
 
     Flow on the working image says where a point is within a pixel or two, that of the full image where exactly; both
     must lead back. One that leaves the camera's epipolar line, the image, or the space between it and an older one
-    ends. New ones are the best corners of Shi and Tomasi (1994) in the gaps.
+    ends. New ones are the best corners of Shi and Tomasi (1994) in the gaps, placed as Foerstner and Guelch (1987) do.
     """
 
     def __init__(self) -> None:

@@ -164,6 +164,34 @@ def test_types_and_values_are_those_that_were_written(case, ending: str, read: C
         assert all(map(same, found[name][1], values)), name
 
 
+def test_points_are_a_table_too(tmp_path: Path) -> None:
+    """As their own CSV file, and from the lists of a Parquet file by the recipe of docs/mcap.md."""
+    tracks = [*stream([2, 2], points=3), *stream([0, 1, 2, 3], points=4, camera=None)[3:]]
+    names = ["point_id", "point_x", "point_y", "point_u", "point_v"]
+    nowhere = np.full((4, 2), np.nan, np.float32)
+    arrays = [(t.points_px, nowhere if t.points_normalized is None else t.points_normalized) for t in tracks]
+    expected = [
+        [np.concatenate([t.point_ids for t in tracks])],
+        *(np.concatenate(each).T for each in zip(*arrays, strict=True)),
+    ]
+    columns = [column for group in expected for column in group]
+    for ending in ("csv", "parquet"):
+        write_all(open_track_sink(f"{tmp_path}/t.{ending}"), tracks)
+    lists = ["frame", "stamp_ns", *names]
+    by_pandas = pd.read_parquet(tmp_path / "t.parquet", columns=lists).dropna(subset="point_id").explode(names[:3])
+    by_polars = pl.read_parquet(tmp_path / "t.parquet", columns=lists).drop_nulls("point_id").explode(names[:3])
+    for table in (pd.read_csv(tmp_path / "t.points.csv"), by_pandas, by_polars.to_pandas()):
+        assert table["frame"].tolist() == [t.frame_index for t in tracks for _ in t.point_ids]
+        assert table["stamp_ns"].tolist() == [t.stamp_ns for t in tracks for _ in t.point_ids]
+    for read in (pd.read_csv, lambda path: pl.read_csv(path).to_pandas()):
+        table = read(tmp_path / "t.points.csv")
+        for name, values in zip(names, columns, strict=True):
+            np.testing.assert_array_equal(table[name].to_numpy().astype(values.dtype), values)
+    for table in (by_pandas, by_polars.to_pandas()):
+        for name, values in zip(names[:3], columns, strict=False):
+            np.testing.assert_array_equal(table[name].to_numpy().astype(values.dtype), values)
+
+
 def test_polars_and_duckdb_tell_null_from_nan(tmp_path: Path) -> None:
     tracks = stream([2, 2], camera=FISHEYE)
     tracks[0].segments_px[:] = 1e6

@@ -122,6 +122,22 @@ def test_csv_lists_frames_where_it_can(tmp_path):
     assert not Path("/dev/null.frames.csv").exists()
 
 
+def test_points_have_a_csv_file_of_their_own_where_there_are_any(tmp_path):
+    rng = np.random.default_rng(0)
+    frames = [made_tracks(k, k, np.arange(2), rng, points=count) for k, count in enumerate([0, 2, 0, 3])]
+    write(tmp_path / "a.csv", frames[:1])
+    write(tmp_path / "b.csv", frames)
+    assert not (tmp_path / "a.points.csv").exists()
+    with (tmp_path / "b.points.csv").open() as file:
+        assert [row["frame"] for row in csv.DictReader(file)] == ["1", "1", "3", "3", "3"]
+    (tmp_path / "b.csv").unlink()
+    (tmp_path / "b.frames.csv").unlink()
+    with pytest.raises(InputError, match=r"b\.points\.csv' exists"):
+        CsvTrackSink(tmp_path / "b.csv")
+    write_all(CsvTrackSink(tmp_path / "b.csv", overwrite=True), frames[:1])
+    assert not (tmp_path / "b.points.csv").exists(), "points of an earlier run are none of this one's"
+
+
 def test_only_csv_is_taken_off_the_name_of_the_list(tmp_path):
     for name in ("run.1", "run.2", "run.3.csv", "run.4.CSV"):
         write_all(CsvTrackSink(tmp_path / name), [])
