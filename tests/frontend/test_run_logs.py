@@ -15,7 +15,7 @@ from logs import read_tracks
 from tests.helpers.camera_logs import Channel, Logged, text, write_log
 from tests.helpers.camera_messages import ROS2, cdr, info_fields, rendered
 from tests.helpers.command import command, recorded, refusal
-from tests.helpers.plvins import read_bag
+from tests.helpers.plvins import read_bag, read_messages
 
 EPOCH_NS = 1_700_000_000 * 10**9
 STEP_NS = 33_333_333
@@ -101,11 +101,18 @@ def test_calibration_file_and_undistortion(desk: Path, clip: Path) -> None:
     straight = list(read_tracks("straight.parquet"))
     assert all(tracks.camera is not None and tracks.camera.distortion == "none" for tracks in straight)
     assert not np.array_equal(bent[0].segments_px, straight[0].segments_px)
+    kin = [flag for name in ("plvins.bag", "eplf.mcap", "uvslam.bag") for flag in ("--out", name)]
+    assert command(clip, "--headless", "--calib", "camera.json", "--points", *kin).code == 0
+    for name in ("plvins.bag", "eplf.mcap", "uvslam.bag"):
+        clouds = [one for topic, one in read_messages(desk / name) if topic.endswith("/feature_tracker/feature")]
+        clouds = clouds or [one for topic, one in read_messages(desk / name) if topic == "/lf_feature_tracker/feature"]
+        assert [len(one.points) > 20 for one in clouds] == [True] * (len(bent) - 1)
 
     for flags, hint in (
         (["--undistort"], "--calib"),
         (["--calib", "missing.yaml"], "missing.yaml"),
         (["--out", "plvins.mcap"], "--calib"),
+        (["--out", "uvslam.bag"], "--points"),
     ):
         refused = command(clip, "--headless", *flags)
         assert (refused.code, refused.err.count("\n")) == (2, 1), refused
