@@ -228,7 +228,7 @@ def directions(rng: np.random.Generator) -> np.ndarray:
 
 
 def seen_lines(rng: np.random.Generator, along: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lines in space along these directions, with noise of 0.3 px at a focal length of 460; and the direction of each."""
+    """Lines in space along these directions, with noise of 0.3 px where f is 460 px; and the direction of each."""
     lines: list[np.ndarray] = []
     whose: list[int] = []
     while len(lines) < count:
