@@ -68,7 +68,7 @@ class Messages:
 
     With points, both come from here:
 
-    - A point is sent from its second frame on, with its velocity since the first, as VINS-Mono's tracker does.
+    - A point is sent from its second frame on, with its velocity since the frame before, as UV-SLAM's tracker does.
     - A frame without such a point has no message, so the first has none, nor has one behind a reset: the estimators
       cannot place a frame by lines alone, and one without points breaks all tracks. Nor has a frame that was not read.
     - VINS-Mono and UV-SLAM throw away the first message that they get.
@@ -83,7 +83,7 @@ class Messages:
       empty ones lie between their neighbours', or 1 ns apart before the first frame's, but not before 1970.
 
     Attributes:
-        jumped: the clock went back before this frame, or on by more than a second: VINS-Mono's tracker would say
+        jumped: the clock went back before this frame, or on by more than a second: UV-SLAM's tracker would say
             "restart".
         silent: frames so far, but for the first, that have no message for want of points.
     """
