@@ -14,7 +14,10 @@ INPUT = (
     "video, image folder or pattern, log, camera (0, /dev/video0), URL, or - for a video on stdin "
     "(default: the built-in clip)"
 )
-OUT = "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/, FILE.bag or plvins.mcap; may be given several times"
+OUT = (
+    "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/; for PL-VINS and its kin: plvins.bag (or FILE.bag), "
+    "eplf.bag, uvslam.bag, or .mcap; may be given several times"
+)
 PUBLISH = (
     "send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "
     "ws://127.0.0.1:8765 (Foxglove); may be given several times"

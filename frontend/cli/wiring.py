@@ -8,7 +8,7 @@ import sys
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from airline.errors import ConfigError, InputError
 from frontend.cli.settings import NO_CALIBRATION
@@ -110,13 +110,11 @@ def track_files(specs: list[str], *, overwrite: bool) -> list[list[Path]]:
     return [files_of(spec) for spec in specs]
 
 
-def open_track_sink(
-    spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False, stride: int = 1
-) -> Sink:
+def open_track_sink(spec: str, **options: Any) -> Sink:
     """An output for tracked lines; see `logs.sinks.open`."""
     from logs.sinks.open import open_track_sink
 
-    return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels, stride=stride)
+    return open_track_sink(spec, **options)
 
 
 def read_tracks(path: Path) -> Iterator[LineTracks]:
