@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from frontend.tracks import LineTracks, TrackState
 
 __all__ = ["CameraModel", "Frame", "FrameResult", "LineFrontend", "LineMatches", "LineTracker", "LineTracks"]
-__all__ += ["Observations", "Sink", "Source", "TrackHistory", "TrackState", "TrackerConfig", "match_lines", "open_source"]
+__all__ += [
+    "Observations",
+    "Sink",
+    "Source",
+    "TrackHistory",
+    "TrackState",
+    "TrackerConfig",
+    "match_lines",
+    "open_source",
+]
 
 _MODULES = {
     "camera.model": ("CameraModel",),

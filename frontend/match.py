@@ -21,7 +21,9 @@ def build_parser() -> Parser:
     parser.add_argument("first", type=Path, help="image file")
     parser.add_argument("second", type=Path, help="image file, of any size")
     parser.add_argument("--calib", type=Path, metavar="FILE", help="of the camera that took both: essential matrix")
-    parser.add_argument("--out", type=Path, metavar="FILE", help=".csv to write: rows, votes and end points of the pairs")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help=".csv to write: rows, votes and end points of the pairs"
+    )
     parser.add_argument("--picture", type=Path, metavar="FILE", help=".png or .jpg: pairs in the same colours")
     return parser
 

@@ -34,9 +34,13 @@ Gray8 = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Geometry = Literal["none", "homography", "fundamental", "essential"]
 
-MOST_POINTS, CONTRAST, RATIO = 2000, 0.01, 0.85  # of SIFT: points of an image; the faintest; Lowe's ratio of two matches
+MOST_POINTS, CONTRAST, RATIO = (
+    2000,
+    0.01,
+    0.85,
+)  # of SIFT: points of an image; the faintest; Lowe's ratio of two matches
 PLANE_ERROR, EPIPOLAR_ERROR = 2.0, 1.5  # px that a point may lie beside where the geometry wants it
-LEAST_POINTS = 15  # that agree; fewer may do so by chance
+LEAST_POINTS = 25  # that agree; two views of different things have up to 19
 PLANAR = 0.9  # share of the points that agree with two views of anything, from which they are two views of a plane
 NEAREST = 3  # points whose motion each end may have
 # Wider than the tracker's limits, as no state predicts where a line is, but stricter about its looks
@@ -56,6 +60,7 @@ class LineMatches:
             with a camera and "fundamental" without; "none" where too few points agree.
         matrix: (3, 3) float64 for homogeneous columns x of the first and y of the second image: y ~ matrix x of a
             homography, y^T matrix x = 0 of the others. They are px, for "essential" on the plane z = 1.
+        homography: (3, 3) float64 px, the one that most points agree with, whatever the geometry is; else the identity.
         inliers: how many of the points agree with it, and `points` how many there are.
         notes: what was guessed or left out, in sentences.
     """
@@ -66,6 +71,7 @@ class LineMatches:
     votes: NDArray[np.float32]
     geometry: Geometry
     matrix: Array
+    homography: Array
     inliers: int
     points: int
     notes: tuple[str, ...] = ()
@@ -105,7 +111,9 @@ def match_lines(
     segments[back] = segments[back, ::-1]
     found = int(agree.sum()) if geometry != "none" else 0
     others = replace(others, segments=segments)
-    return LineMatches(lines, others, pairs, votes[tuple(pairs.T)], geometry, matrix, found, len(points), notes)
+    return LineMatches(
+        lines, others, pairs, votes[tuple(pairs.T)], geometry, matrix, homography, found, len(points), notes
+    )
 
 
 def _alike(first: Gray8, second: Gray8) -> Array:
@@ -139,7 +147,9 @@ def _geometry(
             import poselib
     except ConfigError as error:
         return *nothing, everything, (f"without geometry pairs are found in near views alone: {error}",)
-    few = f"no geometry: fewer than {LEAST_POINTS} of {len(points)} points agree, so pairs are found in near views alone"
+    few = (
+        f"no geometry: fewer than {LEAST_POINTS} of {len(points)} points agree, so pairs are found in near views alone"
+    )
     if len(points) < LEAST_POINTS:
         return *nothing, everything, (few,)
     plane, found = poselib.estimate_homography(points[:, 0], points[:, 1], {"max_reproj_error": PLANE_ERROR})
