@@ -53,10 +53,9 @@ def build_parser() -> Parser:
     parser.add_argument(
         "--match",
         type=Path,
-        nargs="+",
-        default=[],
+        nargs="*",
         metavar="DIR",
-        help="instead, pairs of images without a video: labelled frames as for --icl, or views of a plane, N.png and H_1_N",
+        help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
     )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
     parser.add_argument(
@@ -86,7 +85,7 @@ def run(options: argparse.Namespace) -> None:
     from frontend.evaluation.metrics import identity_scores
     from frontend.evaluation.rendered import SceneClip
 
-    if options.match:
+    if options.match is not None:
         return _match(options)
     clips, posed_clips = _chosen(options)
     detect = AirLine()
@@ -119,7 +118,7 @@ def _match(options: argparse.Namespace) -> None:
     from frontend.evaluation.matches import match_figures
 
     figures: dict[str, Any] = {}
-    for folder in options.match:
+    for folder in options.match or [None]:
         figures |= match_figures(folder)
     console = Console()
     console.print(report.table("Pairs of lines of two images", figures, report.MATCHES))

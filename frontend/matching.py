@@ -144,7 +144,7 @@ def _geometry(
     everything = np.ones(len(points), np.bool_)
     try:
         with from_extra("poses"):
-            import poselib
+            import poselib  # type: ignore[import-untyped]
     except ConfigError as error:
         return *nothing, everything, (f"without geometry pairs are found in near views alone: {error}",)
     few = (
@@ -155,12 +155,12 @@ def _geometry(
     plane, found = poselib.estimate_homography(points[:, 0], points[:, 1], {"max_reproj_error": PLANE_ERROR})
     on_plane = np.array(found["inliers"], np.bool_)
     limit = {"max_epipolar_error": EPIPOLAR_ERROR}
-    matrix, agree, kind = np.eye(3), np.zeros(len(points), np.bool_), "fundamental"
+    kind: Geometry = "fundamental" if cameras is None else "essential"
+    agree = np.zeros(len(points), np.bool_)
     if cameras is None:
         matrix, found = poselib.estimate_fundamental(points[:, 0], points[:, 1], limit)
         agree[:] = found["inliers"]
     else:
-        kind = "essential"
         straight = [c.normalize(points[:, k]) * (c.fx, c.fy) + (c.cx, c.cy) for k, c in enumerate(cameras)]
         known = np.isfinite(straight).all(axis=(0, 2))  # a lens model may end within the image
         pinholes = [
@@ -171,10 +171,10 @@ def _geometry(
         agree[known] = found["inliers"]
         matrix = np.cross(pose.t, pose.R.T).T  # [t]x R
     if on_plane.sum() >= max(PLANAR * agree.sum(), LEAST_POINTS):
-        return "homography", plane, plane, on_plane, ()
+        return "homography", np.asarray(plane), np.asarray(plane), on_plane, ()
     if agree.sum() < LEAST_POINTS:
         return *nothing, everything, (few,)
-    return kind, matrix, plane, agree, ()
+    return kind, np.asarray(matrix), np.asarray(plane), agree, ()
 
 
 def _votes(
@@ -220,4 +220,4 @@ def _turned(descriptors: NDArray[np.float32], angles: Array) -> NDArray[np.float
     low = np.floor(place).astype(np.int64)
     part = place - low
     turned = (1 - part) * descriptors[rows, low % channels] + part * descriptors[rows, (low + 1) % channels]
-    return (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9), np.float32)

@@ -54,7 +54,7 @@ def draw_frame(frame: RecordedFrame) -> Picture:
 
 
 def draw_pairs(images: tuple[Image, Image], matches: LineMatches) -> Picture:
-    """Two images beside each other, BGR and darkened, with their lines: pairs in one colour, the others thin and grey."""
+    """Two images beside each other, BGR and dark, with their lines: pairs in one colour, others thin and grey."""
     panels = [cv2.cvtColor(to_uint8(to_gray(image)) // 2, cv2.COLOR_GRAY2BGR) for image in images]
     for canvas, lines, rows in zip(panels, (matches.first, matches.second), matches.pairs.T, strict=True):
         alone = np.delete(lines.segments, rows, axis=0)

@@ -6,7 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from airline.detector import AirLine
 from airline.errors import InputError
 from airline.evaluation.benchmark import lsd
 from airline.evaluation.metrics import MIN_OVERLAP, measure_pairs, warp
-from airline.image import to_gray
+from airline.image import to_gray, to_uint8
 from airline.lines import LineSet
+from airline.scenes import RenderedClip
 from frontend.evaluation.baselines import nearest_pairs
 from frontend.evaluation.icl import LabelledClip, read_numbers
 from frontend.evaluation.truth import Truth, owners
@@ -28,30 +29,32 @@ from frontend.sources.stills import read_image
 from frontend.tracking.assignment import assign
 
 GAPS = (1, 2, 3, 5)  # frames between the two of a pair
+KINDS, SEEDS, APART = ("indoor", "street", "shelves"), (201, 202, 203), (1, 15, 40, 80)  # of rendered ones
 RADII = (3, 5)  # px
 MIN_COSINE = float(np.cos(np.deg2rad(10.0)))
-NEAR, NEARER = (
-    15.0,
-    7.0,
-)  # px that a nearest neighbour may lie away, as is best on views that we made; where it was moved
+# How far a nearest neighbour may lie away, px, and where it was moved: best on rendered views of other seeds
+NEAR, NEARER = 15.0, 5.0
 
 Pairs = NDArray[np.int32]
 Counts = Callable[[NDArray[np.float32], NDArray[np.float32], Pairs], dict[str, NDArray[np.int64]]]
 Figures = dict[str, dict[str, dict[str, Any]]]
 
 
-def match_figures(folder: Path) -> Figures:
+def match_figures(folder: Path | None) -> Figures:
     """Precision, recall and F of every matcher on every group of pairs of a folder's images.
 
     Args:
         folder: labelled frames, see `LabelledClip`, whose groups are pairs so many frames apart; or `1.png` to `N.png`
-            with `H_1_2` to `H_1_N`, homographies in text files, whose groups are pairs of the first image with another.
+            with `H_1_2` to `H_1_N`, homographies in text files, whose groups are pairs of the first image with another;
+            None for rendered views, whose groups are as those of labelled frames.
 
     Raises:
         InputError: it is neither, or a file is malformed.
     """
     tallies: dict[str, dict[str, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
-    for group, first, second, count in _views(folder) if (folder / "1.png").is_file() else _labelled(folder):
+    views = folder is not None and (folder / "1.png").is_file()
+    pairs_of = _rendered() if folder is None else _views(folder) if views else _labelled(folder)
+    for group, first, second, count in pairs_of:
         for name, lines, matches, pairs, ms in _matched(first, second):
             found = count(matches.first.segments, matches.second.segments, pairs)
             tallies[group][name].append({**found, "lines": lines, "pairs": len(pairs), "ms": ms})
@@ -63,6 +66,15 @@ def _labelled(folder: Path) -> Iterator[tuple[str, Image, Image, Counts]]:
     for (a, (one, truth)), (b, (other, later)) in combinations(enumerate(frames), 2):
         if b - a in GAPS:
             yield f"{folder.resolve().name}, {b - a} apart", one.image, other.image, partial(_same_line, truth, later)
+
+
+def _rendered() -> Iterator[tuple[str, Image, Image, Counts]]:
+    for kind, seed in product(KINDS, SEEDS):
+        clip = RenderedClip(kind, "handheld", seed, min_contrast=1.0, merge_doubles=False)
+        one, *others = (clip.render(i) for i in (0, *APART))
+        for apart, other in zip(APART, others, strict=True):
+            truth, later = (Truth(view.segments_px, view.ids) for view in (one, other))
+            yield f"{kind}, {apart} apart", one.image, other.image, partial(_same_line, truth, later)
 
 
 def _views(folder: Path) -> Iterator[tuple[str, Image, Image, Counts]]:
@@ -103,7 +115,8 @@ def _same_place(
 
 def _matched(first: Image, second: Image) -> Iterator[tuple[str, int, LineMatches, Pairs, float | None]]:
     """Every matcher's name, lines of the first image, matches whose lines are meant, pairs and milliseconds."""
-    for kind, detector in {"": _airline(), "LSD, ": _lsd}.items():
+    detectors: dict[str, Callable[[ArrayLike], LineSet]] = {"": _airline(), "LSD, ": _lsd}
+    for kind, detector in detectors.items():
         started = time.perf_counter()
         matches = match_lines(first, second, detector=detector)
         ms = 1e3 * (time.perf_counter() - started)
@@ -136,6 +149,6 @@ def _airline() -> AirLine:
 
 def _lsd(image: ArrayLike) -> LineSet:
     """OpenCV's lines; without scores, and with descriptors that all agree."""
-    segments = lsd()(to_gray(image)).astype(np.float32)
+    segments = lsd()(to_uint8(to_gray(image))).astype(np.float32)
     ones = np.ones(len(segments), np.float32)
     return LineSet(segments, ones, ones[:, None])

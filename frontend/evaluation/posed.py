@@ -15,6 +15,7 @@ from frontend.evaluation.icl import FRAMES_PER_SECOND, read_numbers
 from frontend.frame import Frame
 from frontend.sources.image_names import images_in
 from frontend.sources.listing import ImageRow, list_images
+from frontend.sources.stills import read_image
 
 with from_extra("evaluate"):
     from scipy.spatial.transform import Rotation, Slerp
