@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     import argparse
 
     from frontend.cli.settings import RunConfig
+    from frontend.matching import LineMatches
     from frontend.protocols import Sink, Source
+    from frontend.sources.reading import Image
     from frontend.tracks import LineTracks
     from logs.sinks.foxglove import FoxgloveServer
     from logs.sinks.zeromq import ZmqPublisher
@@ -129,6 +131,13 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
     from logs.sinks.open import open_publisher
 
     return open_publisher(address, name, labels=labels, stride=stride)
+
+
+def write_pairs(path: Path, images: tuple[Image, Image], matches: LineMatches) -> None:
+    """Write two images beside each other with their lines; InputError where that cannot be."""
+    from viz.overlay import draw_pairs, write_picture
+
+    write_picture(path, draw_pairs(images, matches))
 
 
 def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | None:
