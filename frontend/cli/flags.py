@@ -53,7 +53,7 @@ FLAGS = {
     "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
     "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
     "detector": {"--preset": "preset", "--runtime": "runtime"},
-    "tracker": {"--max-lines N": "tracker.max_lines"},
+    "tracker": {"--max-lines N": "tracker.max_lines", "--points": "tracker.points"},
     "settings": {"--serial": "serial"},
 }
 """Flags by group: the setting that each stands for, whose field in `settings` says its type and its help."""
