@@ -35,14 +35,14 @@ with from_extra("poses"):
 LEAST_LINES, LEAST_TRACKS = 8, 16  # that go on from the first frame to the last: lines, lines and points
 MOST_LINES, MOST_POINTS = 120, 150  # that are looked at
 MOST_FRAMES = 120  # of which none tells the motion, after which the oldest go
-POINT_ERROR, CORNER_ERROR = 0.5, 1.0  # px, standard deviation
+POINT_ERROR, CORNER_ERROR = 0.2, 0.4  # px, standard deviation
 MEETING = 6.0  # px from both lines' ends to where they meet, of a corner
 LEAST_SINE = 0.35  # between them: the corner of near-parallel lines is anywhere
 PARALLEL = 0.02  # radians between a line and its vanishing direction
 MOVED = 0.1  # share of tracks that a turn must not explain
 SURE = 0.035  # radians, standard deviation of the direction of motion
 STEPS = 8
-ROBUST = 4.0  # squared standard deviations: Cauchy's scale
+ROBUST = 2.0  # squared standard deviations: Cauchy's scale
 AGREES = 9.2  # squared distance, two degrees of freedom, 99 %
 LEAST_AGREEMENT = 0.6
 ALIKE = 20.0  # of the cost
@@ -245,6 +245,8 @@ def start(frames: Sequence[LineTracks]) -> Begun:
     agree = ((lines[0] ** 2).sum(axis=0) < AGREES) & (ahead[: lines.shape[2]] > -3)
     noise = max(1.0, float((np.median((lines**2).sum(axis=1))) / 1.386))
     error = float(np.sqrt(noise * np.linalg.eigvalsh(covariances[best, 9:, 9:]).max()))
+    global LAST
+    LAST = dict(turn=turns[best, 1], centre=centres[best, 1], z=np.abs(ahead), cost=costs[best], costs=costs, cents=centres, n=lines.shape[2], m=len(of_points), flow=seen.flow, sgn=np.clip(ahead, -3, 3).sum() / len(ahead), moved=moved, error=error, agree=float(agree.mean()), rot=float(_costs(*seen.residuals(turns[best : best + 1], centres[best : best + 1]))[0]), by=motions[best].by, angle=turn, tells=np.sqrt(np.diagonal(covariances[best])))
     said = dict(by=motions[best].by, agreement=float(agree.mean()), error=error, drop=drop)
     for other in order[1:]:
         apart = np.arccos(np.clip(np.abs(centres[other, 1] @ centres[best, 1]), 0, 1))
