@@ -246,6 +246,7 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
             open_rows[one.name] = _numbers(lists.flatten()), lengths, np.concatenate([[0], np.cumsum(lengths)])
         else:
             fixed[one.name] = np.stack([_numbers(columns[name]) for name in names], 1).reshape(-1, *one.shape)
+    whole = [one for one in _PER_FRAME if one not in DERIVED]  # journals have these too
     for start, end in zip(starts, [*starts, len(rows)][1:], strict=True):
         own = slice(start, end)
         if any(
@@ -255,7 +256,7 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
         arrays = {name: values[own].copy() for name, values in fixed.items()}
         for name, (values, lengths, ends) in open_rows.items():
             arrays[name] = values[ends[start] : ends[end]].reshape(end - start, lengths[start]).copy()
-        for one in _PER_FRAME:
+        for one in whole:
             lists = [_list(columns[name][start]) for name, _ in one.numbers if name in columns]
             if lists:
                 arrays[one.name] = _rows(lists, one)
