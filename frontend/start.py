@@ -27,12 +27,11 @@ from frontend.starting.candidates import NEAR, Space, candidates, directions, in
 from frontend.starting.views import Seen, View, common
 from frontend.tracks import LineTracks
 
-LEAST_FRAMES, MOST_FRAMES = 5, 120  # of a start; of those that wait: the oldest are of no more use
-LEAST_LINES, LEAST_TRACKS = 8, 16  # that go on from the first frame to the last: lines, and lines and points
-LOOKED_AT = 6  # frames, of which one becomes the middle one
-MOVED = 0.1  # share of lines and points that a turn on the spot must not explain
-KNOWN = 5.0  # standard deviations of the inverse depth of half of them
-MAX_ERROR = np.deg2rad(1.5)  # standard deviation of the direction of motion
+LEAST_FRAMES, MOST_FRAMES = 4, 60  # of a start; of those that wait: the oldest are of no more use
+LEAST_LINES, LEAST_TRACKS = 8, 12  # that go on from the first frame to the last: lines, and lines and points
+LOOKED_AT = 9  # frames, of which one becomes the middle one
+KNOWN = 8.0  # standard deviations of the inverse depth of half of them
+MAX_ERROR = np.deg2rad(1.0)  # standard deviation of the direction of motion
 AHEAD = 0.75  # of what there would be if all lay before the camera for sure
 OTHER, SURE = np.deg2rad(10), 4.0  # between two directions of motion that are not the same, and standard deviations
 ALIKE = 20.0  # difference of costs from which one motion is better than another, times what one residual costs
@@ -76,7 +75,7 @@ def start(frames: Sequence[LineTracks]) -> Begun:
     """
     if len(frames) < LEAST_FRAMES:
         _ = [View.of(frame) for frame in frames[-1:]]
-        return Begun(waits=f"{len(frames)} frames are too few")
+        return Begun(waits="too few frames")
     count = len(frames)
     views = {k: View.of(frames[k]) for k in np.unique(np.linspace(0, count - 1, LOOKED_AT).astype(int)).tolist()}
     first, last = views.pop(0), views.pop(count - 1)
@@ -84,8 +83,8 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         drop = next((k for k in range(1, count) if _go_on(View.of(frames[k]), last, 2)), count - 1)
         return Begun(waits="too few lines and points go on", drop=drop)
     drop = max(0, count + 1 - MOST_FRAMES)
-    turn, moved = turned(first, last)
-    if moved < MOVED:
+    turn, parallax = turned(first, last)
+    if parallax < NEAR:
         angle = np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
         said = f"only turned so far, by {angle:.0f} degrees" if angle >= 0.5 else "not moved so far"
         return Begun(waits=f"the camera has {said}", drop=drop)

@@ -100,7 +100,7 @@ def aligned(here: Array, there: Array) -> Array:
 
 
 def turned(first: View, second: View) -> tuple[Array, float]:
-    """(3, 3) the rotation that explains most lines and points of two views, and the share that it does not explain."""
+    """(3, 3) the rotation that explains most lines and points of two views, and how far the fifth is off that is worst, in standard deviations."""
     one, two = common([first, second])
     here, there = (np.concatenate([view.normals, view.points]) for view in (one, two))
     here, there = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (here, there))
@@ -114,7 +114,7 @@ def turned(first: View, second: View) -> tuple[Array, float]:
         points = np.linalg.norm(here - there @ turn.T, axis=1)[len(lines) :] * first.focal / POINT_ERROR
         squares = np.concatenate([lines, points**2 / 2])
         weights = 1 / (1 + squares / ROBUST)
-    return turn, float((squares > NEAR**2).mean()) if len(squares) else 0.0
+    return turn, float(np.sqrt(np.quantile(squares, 0.8))) if len(squares) else 0.0
 
 
 def directions(seen: Seen) -> Array:
