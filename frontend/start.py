@@ -23,17 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.starting.agreement import adjusted, residuals
-from frontend.starting.candidates import NEAR, Space, candidates, directions, inverse_depths, turned
+from frontend.starting.candidates import NEAR, Space, beside, candidates, directions, inverse_depths, turned
 from frontend.starting.views import Seen, View, common
 from frontend.tracks import LineTracks
 
-LEAST_FRAMES, MOST_FRAMES = 4, 60  # of a start; of those that wait: the oldest are of no more use
+LEAST_FRAMES, MOST_FRAMES = 5, 60  # of a start; of those that wait: the oldest are of no more use
 LEAST_LINES, LEAST_TRACKS = 8, 12  # that go on from the first frame to the last: lines, and lines and points
 LOOKED_AT = 9  # frames, of which one becomes the middle one
 KNOWN = 8.0  # standard deviations of the inverse depth of half of them
 MAX_ERROR = np.deg2rad(1.0)  # standard deviation of the direction of motion
 AHEAD = 0.75  # of what there would be if all lay before the camera for sure
-OTHER, SURE = np.deg2rad(10), 4.0  # between two directions of motion that are not the same, and standard deviations
+OTHER = np.deg2rad(5)  # between two directions of motion that are not the same
 ALIKE = 20.0  # difference of costs from which one motion is better than another, times what one residual costs
 AGREES = 9.2  # squared distance, two degrees of freedom, 99 %
 LEAST_AGREEMENT = 0.6
@@ -114,10 +114,10 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         return wait("the camera has moved too little so far")
     if agreement < LEAST_AGREEMENT:
         return wait(f"only {agreement:.0%} of the lines agree on a motion")
-    others, other_costs, _ = adjusted(seen, directions(seen))
+    others, other_costs, _ = adjusted(seen, np.concatenate([beside(motion, OTHER), directions(seen)]), held=4)
     others, other_costs = np.concatenate([others, motions]), np.concatenate([other_costs, costs])
     apart = np.arccos(np.clip(np.abs(others[:, 1, :, 3] @ motion[1, :, 3]), 0, 1))
-    if ((apart > max(OTHER, SURE * error)) & (other_costs < costs[best] + margin)).any():
+    if ((apart > 0.9 * OTHER) & (other_costs < costs[best] + margin)).any():
         return wait("two motions explain the lines alike")
     space, poses = Space.of(seen, motion[1]), {0: np.eye(3, 4), middle: motion[0], count - 1: motion[1]}
     for k in range(count):

@@ -59,17 +59,18 @@ def costs(lines: Array, points: Array) -> Array:
     return np.asarray(ROBUST * (of_lines + np.log1p(points**2 / ROBUST).sum(axis=(1, 2))))
 
 
-def adjusted(seen: Seen, motions: Array) -> tuple[Array, Array, Array]:
-    """Levenberg and Marquardt's method on motions (B, 2, 3, 4) at once.
+def adjusted(seen: Seen, motions: Array, held: int = 0) -> tuple[Array, Array, Array]:
+    """Levenberg and Marquardt's method on motions (B, 2, 3, 4) at once; of the first few the last centre is held.
 
     Returns:
         (B, 2, 3, 4) motions, (B,) their costs, (B, 3, 3) covariances of the last camera's centre.
     """
     motions, damping = motions.copy(), np.full((len(motions), 1), 1e-3)
+    fixed = (np.arange(len(motions)) < held)[:, None, None] * np.diag(np.arange(12) >= 9) / DIFFERENCE
     cost = costs(*residuals(seen, motions))
     for _ in range(STEPS):
         hessian, gradient = _equations(seen, motions)
-        damped = hessian + np.eye(12) * (damping * np.diagonal(hessian, 0, 1, 2) + DIFFERENCE)[:, None]
+        damped = hessian + fixed + np.eye(12) * (damping * np.diagonal(hessian, 0, 1, 2) + DIFFERENCE)[:, None]
         moved = _moved(motions, -np.linalg.solve(damped, gradient)[:, None, :, 0])[:, 0]
         moved[..., 3] /= np.linalg.norm(moved[:, 1:, :, 3], axis=2, keepdims=True)
         now = costs(*residuals(seen, moved))

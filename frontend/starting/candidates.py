@@ -126,6 +126,17 @@ def directions(seen: Seen) -> Array:
     return np.concatenate([np.broadcast_to(turns, (len(towards), 2, 3, 3)), centres], axis=3)
 
 
+def beside(motion: Array, angle: float) -> Array:
+    """(4, 2, 3, 4) the motion (2, 3, 4) with both centres moved, so that the last is at an angle, radians, on each side."""
+    across = np.linalg.svd(motion[None, 1, :, 3])[2][1:]
+    step = np.tan(angle) * np.concatenate([across, -across])
+    share = np.linalg.norm(motion[:, :, 3], axis=1)
+    beside = np.tile(motion, (4, 1, 1, 1))
+    beside[..., 3] += share[:, None] * step[:, None]
+    beside[..., 3] *= np.cos(angle)
+    return beside
+
+
 def inverse_depths(seen: Seen, last: Array) -> tuple[Array, Array, Array, Array]:
     """In the first view, of both ends of lines (2, N) and of points (M,), each with its standard deviations."""
     first, _, view = seen.views
