@@ -1,9 +1,9 @@
 """How well lines and points agree with where three cameras are said to be, and the motions nearby that they agree with.
 
-No line in space is estimated. The planes that a line spans with the first and the last camera meet in a line, which the
-middle camera must see where it saw it (Hartley and Zisserman 2004, 15.1): two equations. A point gives one for each pair
-of views, the epipolar one. Both are divided by their standard deviations to first order (Sampson's approximation, 4.2.6)
-from what the images' errors are, so that a line that tells nothing, in a plane with all cameras, weighs nothing.
+No line in space is estimated. The planes that a line spans with the first and the last camera meet in a line, which
+the middle camera must see where it saw it (Hartley and Zisserman 2004, 15.1): two equations. A point gives one for each
+pair of views, the epipolar one. Both are divided by their standard deviations to first order, which follow from the
+errors in the images (Sampson's approximation, 4.2.6): a line in one plane with all cameras tells and weighs nothing.
 
 A motion is (2, 3, 4): poses of the middle and the last camera in the first one's axes, from first to last it is 1.
 """
@@ -54,7 +54,7 @@ def residuals(seen: Seen, motions: Array) -> tuple[Array, Array]:
 
 
 def costs(lines: Array, points: Array) -> Array:
-    """(B,) of the residuals, squared standard deviations with Cauchy's loss: one for a line, one for each of a point."""
+    """(B,) of the residuals: squared standard deviations with Cauchy's loss, for each line and each pair of a point."""
     of_lines = np.log1p((lines**2).sum(axis=1) / ROBUST).sum(axis=1)
     return np.asarray(ROBUST * (of_lines + np.log1p(points**2 / ROBUST).sum(axis=(1, 2))))
 
@@ -71,13 +71,15 @@ def adjusted(seen: Seen, motions: Array, held: int = 0) -> tuple[Array, Array, A
     for _ in range(STEPS):
         hessian, gradient = _equations(seen, motions)
         damped = hessian + fixed + np.eye(12) * (damping * np.diagonal(hessian, 0, 1, 2) + DIFFERENCE)[:, None]
-        moved = _moved(motions, -np.linalg.solve(damped, gradient)[:, None, :, 0])[:, 0]
+        step = np.asarray(np.linalg.solve(damped, gradient), np.float64)
+        moved = _moved(motions, -step[:, None, :, 0])[:, 0]
         moved[..., 3] /= np.linalg.norm(moved[:, 1:, :, 3], axis=2, keepdims=True)
         now = costs(*residuals(seen, moved))
         better = now < cost
         motions[better], cost[better] = moved[better], now[better]
         damping *= np.where(better, 0.2, 20)[:, None]
-    return motions, cost, np.linalg.inv(_equations(seen, motions)[0] + DIFFERENCE * np.eye(12))[:, 9:, 9:]
+    covariances = np.linalg.inv(_equations(seen, motions)[0] + DIFFERENCE * np.eye(12))
+    return motions, cost, np.asarray(covariances[:, 9:, 9:], np.float64)
 
 
 def _equations(seen: Seen, motions: Array) -> tuple[Array, Array]:
@@ -93,7 +95,7 @@ def _equations(seen: Seen, motions: Array) -> tuple[Array, Array]:
 
 
 def _moved(motions: Array, change: Array) -> Array:
-    """(B, C, 2, 3, 4) motions (B, ...) after changes (B or 1, C, 12): turns by Cayley's formula, shifts of the centres."""
+    """(B, C, 2, 3, 4) motions (B, ...) after changes (B or 1, C, 12): turns (Cayley's formula) and shifts."""
     change = change.reshape(*change.shape[:2], 4, 3)
     half = crossing(change[:, :, :2]) / 2
     turns = motions[:, None, ..., :3] @ np.linalg.solve(np.eye(3) + half, np.eye(3) - half)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from airline.errors import from_extra
-from frontend.starting.agreement import ROBUST, crossing
+from frontend.starting.agreement import ROBUST
 from frontend.starting.views import POINT_ERROR, TINY, Array, Ids, Seen, View, common
 
 with from_extra("poses"):
@@ -45,7 +45,7 @@ def _essential(here: Array, there: Array, focal: float) -> Array | None:
     options = {"max_epipolar_error": MAX_ERROR / focal, "min_iterations": 100, "max_iterations": 1000, "seed": 0}
     pose, report = poselib.estimate_relative_pose(here[:, :2], there[:, :2], _IDEAL, _IDEAL, options, {})
     found = _world_from_camera(pose)
-    found[:, 3] /= max(np.linalg.norm(found[:, 3]), TINY)
+    found[:, 3] /= float(np.linalg.norm(found[:, 3])) + TINY
     return found if report["num_inliers"] >= LEAST else None
 
 
@@ -82,7 +82,9 @@ def _centres(seen: Seen, turns: Array) -> Array | None:
     far = np.cross(n[1], n[0])[:, :, None] * n[2][:, None]
     near = np.cross(n[1], n[2])[:, :, None] * n[0][:, None]
     last, both, none = np.cross(rays[0], rays[2]), np.cross(rays[1], rays[2]), np.zeros_like(rays[0])
-    points = np.concatenate([np.hstack(pair) for pair in ((np.cross(rays[0], rays[1]), none), (none, last), (-both, both))])
+    points = np.concatenate(
+        [np.hstack(pair) for pair in ((np.cross(rays[0], rays[1]), none), (none, last), (-both, both))]
+    )
     rows = np.concatenate([np.concatenate([far - near, -far], axis=2).reshape(-1, 6), points])
     weights, centres = np.ones(len(rows)), np.zeros((2, 3))
     for _ in range(6):
@@ -100,20 +102,21 @@ def aligned(here: Array, there: Array) -> Array:
 
 
 def turned(first: View, second: View) -> tuple[Array, float]:
-    """(3, 3) the rotation that explains most lines and points of two views, and how far the fifth is off that is worst, in standard deviations."""
+    """(3, 3) the rotation that explains most of two views, and how far off the worst fifth is, standard deviations."""
     one, two = common([first, second])
     here, there = (np.concatenate([view.normals, view.points]) for view in (one, two))
-    here, there = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (here, there))
-    middle, weights = one.ends.mean(axis=0), np.ones(len(here))
-    turn, squares = np.eye(3), np.zeros(len(here))
+    size, point = np.linalg.norm(here, axis=1), POINT_ERROR / first.focal
+    here, there = here / size[:, None], there / np.linalg.norm(there, axis=1, keepdims=True)
+    variances = np.full(len(here), 2 * point**2)
+    variances[: len(one.ids)] = ((one.errors**2 + two.errors**2).sum(axis=(0, 2))) / size[: len(one.ids)] ** 2
+    middle, turn, squares = one.ends.mean(axis=0), np.eye(3), np.zeros(len(here))
     for _ in range(6 if len(here) else 0):
-        turn = aligned(here * weights[:, None], there)
+        turn = aligned(here / (variances * (1 + squares / ROBUST))[:, None], there)
         off = (two.normals @ turn.T * middle).sum(axis=1)
         own, other = one.across.mean(axis=1), (two.errors @ turn.T * middle).sum(axis=2)
         lines = off**2 / (own**2 + other**2).sum(axis=0)
-        points = np.linalg.norm(here - there @ turn.T, axis=1)[len(lines) :] * first.focal / POINT_ERROR
+        points = np.linalg.norm(here - there @ turn.T, axis=1)[len(lines) :] / point
         squares = np.concatenate([lines, points**2 / 2])
-        weights = 1 / (1 + squares / ROBUST)
     return turn, float(np.sqrt(np.quantile(squares, 0.8))) if len(squares) else 0.0
 
 
@@ -127,7 +130,7 @@ def directions(seen: Seen) -> Array:
 
 
 def beside(motion: Array, angle: float) -> Array:
-    """(4, 2, 3, 4) the motion (2, 3, 4) with both centres moved, so that the last is at an angle, radians, on each side."""
+    """(4, 2, 3, 4) the motion (2, 3, 4) turned to four sides, so that the last centre is at an angle, radians."""
     across = np.linalg.svd(motion[None, 1, :, 3])[2][1:]
     step = np.tan(angle) * np.concatenate([across, -across])
     share = np.linalg.norm(motion[:, :, 3], axis=1)
@@ -157,7 +160,7 @@ def inverse_depths(seen: Seen, last: Array) -> tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True)
 class Space:
-    """Lines and points in space: ids (N,), end points (2, N, 3), point ids (P,), points (P, 3); the focal length, px."""
+    """Lines and points in space: ids (N,), ends (2, N, 3), point ids (P,), points (P, 3); the focal length, px."""
 
     ids: Ids
     ends: Array
@@ -168,7 +171,9 @@ class Space:
     @staticmethod
     def of(seen: Seen, last: Array) -> Space:
         """Those that are near enough to be known from the first view and the last, at a pose (3, 4)."""
-        depths, sigmas, of_points, own = (part[..., : seen.flow] if k > 1 else part for k, part in enumerate(inverse_depths(seen, last)))
+        depths, sigmas, of_points, own = (
+            part[..., : seen.flow] if k > 1 else part for k, part in enumerate(inverse_depths(seen, last))
+        )
         first, near, points = seen.views[0], (depths > NEAR * sigmas).all(axis=0), of_points > NEAR * own
         ends, space = first.ends[:, near] / depths[:, near, None], first.points[points] / of_points[points, None]
         return Space(first.ids[near], ends, first.point_ids[points], space, first.focal)

@@ -58,11 +58,11 @@ class View:
         order = good[np.lexsort((-length[good], whole[good]))]
         ids, first = np.unique(whole[order], return_index=True)
         rows = order[first]
-        n, both = np.float64(lines[rows]), np.moveaxis(rays(ends[rows]), 1, 0)
+        n, both = lines[rows].astype(np.float64), np.moveaxis(rays(ends[rows]), 1, 0)
         middle = both.mean(axis=0)
         # an error of the offset moves the coefficient c, one of the angle turns (a, b) about the middle
         slopes = np.stack([(0, 0, -1) + 0 * n, np.cross(middle, n) * (0, 0, 1) + n[:, [1, 0, 2]] * (-1, 1, 0)])
-        own = np.linalg.cholesky(np.float64(covariances[rows]) + TINY * np.eye(2))  # of offset and angle
+        own = np.linalg.cholesky(covariances[rows].astype(np.float64) + TINY * np.eye(2))  # of offset and angle
         lever = own[:, 1] * length[rows, None] / 2
         known = np.isfinite(points).all(axis=1)
         return View(
@@ -137,4 +137,4 @@ def corners(views: Sequence[View]) -> Array:
 
 def rays(points: NDArray[np.floating]) -> Array:
     """(..., 3) points on the plane with a third coordinate of 1 from (..., 2) ones."""
-    return np.concatenate([np.float64(points), np.ones((*points.shape[:-1], 1))], axis=-1)
+    return np.concatenate([points.astype(np.float64), np.ones((*points.shape[:-1], 1))], axis=-1)
