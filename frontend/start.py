@@ -29,7 +29,8 @@ from frontend.tracks import LineTracks
 
 LEAST_FRAMES, MOST_FRAMES = 5, 60  # of a start; of those that wait: the oldest are of no more use
 LEAST_LINES, LEAST_TRACKS = 8, 12  # that go on from the first frame to the last: lines, and lines and points
-LOOKED_AT = 9  # frames, of which one becomes the middle one
+LOOKED_AT = 7  # frames, of which one becomes the middle one
+PARALLAX = 4.0  # standard deviations by which a fifth of lines and points must be off a turn on the spot
 KNOWN = 8.0  # standard deviations of the inverse depth of half of them
 MAX_ERROR = np.deg2rad(1.0)  # standard deviation of the direction of motion
 AHEAD = 0.75  # of what there would be if all lay before the camera for sure
@@ -74,7 +75,8 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         ConfigError: a frame without a camera.
     """
     if len(frames) < LEAST_FRAMES:
-        _ = [View.of(frame) for frame in frames[-1:]]
+        for frame in frames:
+            View.of(frame)  # says now that there is no camera
         return Begun(waits="too few frames")
     count = len(frames)
     views = {k: View.of(frames[k]) for k in np.unique(np.linspace(0, count - 1, LOOKED_AT).astype(int)).tolist()}
@@ -84,14 +86,14 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         return Begun(waits="too few lines and points go on", drop=drop)
     drop = max(0, count + 1 - MOST_FRAMES)
     turn, parallax = turned(first, last)
-    if parallax < NEAR:
+    if parallax < PARALLAX:
         angle = np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
         said = f"only turned so far, by {angle:.0f} degrees" if angle >= 0.5 else "not moved so far"
         return Begun(waits=f"the camera has {said}", drop=drop)
     middle = max(views, key=lambda k: min(turned(first, views[k])[1], turned(views[k], last)[1]))
     seen = Seen.of([first, views[middle], last])
     found = candidates(seen)
-    if not found:
+    if not found or len(seen.views[0].ids) < LEAST_LINES:
         return Begun(waits="too few points, corners or parallel lines tell how the camera moved", drop=drop)
     motions, costs, covariances = adjusted(seen, np.stack([motion for _, motion in found]))
     best = int(costs.argmin())
@@ -110,7 +112,7 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         return Begun(by=found[best][0], agreement=agreement, error=error, waits=why, drop=drop)
 
     margin = ALIKE * costs[best] / (2 * len(squares) + 3 * len(own))
-    if error > MAX_ERROR or np.median(np.abs(sure)) < KNOWN or ahead < AHEAD:
+    if not (error <= MAX_ERROR and np.median(np.abs(sure)) >= KNOWN and ahead >= AHEAD):
         return wait("the camera has moved too little so far")
     if agreement < LEAST_AGREEMENT:
         return wait(f"only {agreement:.0%} of the lines agree on a motion")
@@ -121,7 +123,7 @@ def start(frames: Sequence[LineTracks]) -> Begun:
         return wait("two motions explain the lines alike")
     space, poses = Space.of(seen, motion[1]), {0: np.eye(3, 4), middle: motion[0], count - 1: motion[1]}
     for k in range(count):
-        pose = poses.get(k, space.pose_of(View.of(frames[k])))
+        pose = poses[k] if k in poses else space.pose_of(View.of(frames[k]))
         if pose is None:
             return wait(f"frame {k} sees too few of the lines")
         poses[k] = pose

@@ -15,6 +15,7 @@ import numpy as np
 from frontend.starting.views import TINY, Array, Seen
 
 STEPS = 8
+ENOUGH = 0.01  # of the costs, by which a step must make one of them less
 ROBUST = 2.0  # squared standard deviations: Cauchy's scale
 DIFFERENCE = 1e-6  # radians, and shares of the motion
 
@@ -76,8 +77,11 @@ def adjusted(seen: Seen, motions: Array, held: int = 0) -> tuple[Array, Array, A
         moved[..., 3] /= np.linalg.norm(moved[:, 1:, :, 3], axis=2, keepdims=True)
         now = costs(*residuals(seen, moved))
         better = now < cost
+        gained = np.where(better, cost - now, 0).max()
         motions[better], cost[better] = moved[better], now[better]
         damping *= np.where(better, 0.2, 20)[:, None]
+        if better.all() and gained < ENOUGH:
+            break
     covariances = np.linalg.inv(_equations(seen, motions)[0] + DIFFERENCE * np.eye(12))
     return motions, cost, np.asarray(covariances[:, 9:, 9:], np.float64)
 

@@ -35,7 +35,7 @@ def candidates(seen: Seen) -> list[tuple[str, Array]]:
     centres = None if turns is None else _centres(seen, turns)
     if turns is not None and centres is not None:
         found.append(("vanishing directions", np.concatenate([turns, centres[..., None]], axis=2)))
-    return found
+    return [(by, motion) for by, motion in found if np.isfinite(motion).all()]
 
 
 def _essential(here: Array, there: Array, focal: float) -> Array | None:

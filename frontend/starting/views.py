@@ -54,7 +54,7 @@ class View:
             raise ConfigError("a start needs a camera: give the source a calibration")
         whole = np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        good = np.flatnonzero(np.isfinite(covariances).all(axis=(1, 2)) & (length > 0))
+        good = np.flatnonzero(np.isfinite(covariances).all(axis=(1, 2)) & (covariances[:, 0, 0] > 0) & (length > 0))
         order = good[np.lexsort((-length[good], whole[good]))]
         ids, first = np.unique(whole[order], return_index=True)
         rows = order[first]
@@ -62,7 +62,11 @@ class View:
         middle = both.mean(axis=0)
         # an error of the offset moves the coefficient c, one of the angle turns (a, b) about the middle
         slopes = np.stack([(0, 0, -1) + 0 * n, np.cross(middle, n) * (0, 0, 1) + n[:, [1, 0, 2]] * (-1, 1, 0)])
-        own = np.linalg.cholesky(covariances[rows].astype(np.float64) + TINY * np.eye(2))  # of offset and angle
+        (xx, xy), (_, yy) = np.moveaxis(covariances[rows].astype(np.float64), 0, 2)
+        steep = xy / np.sqrt(xx)  # Cholesky's factor, of offset and angle
+        own = np.stack([np.sqrt(xx), 0 * xx, steep, np.sqrt(np.maximum(yy - steep**2, 0) + TINY)], axis=1).reshape(
+            -1, 2, 2
+        )
         lever = own[:, 1] * length[rows, None] / 2
         known = np.isfinite(points).all(axis=1)
         return View(
