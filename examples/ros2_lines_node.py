@@ -1,7 +1,8 @@
-"""A ROS 2 node with lines for PL-VINS and RViz: `python3 ros2_lines_node.py tcp://127.0.0.1:5555`.
+"""A ROS 2 node with lines for PL-VINS and RViz: `python3 ros2_lines_node.py tcp://127.0.0.1:5555 [--points]`.
 
-It publishes what `python -m frontend.run ... --publish tcp://127.0.0.1:5555` sends. It is one file that imports nothing
-of that package, so Humble's Python 3.10 runs it, too: `apt install python3-zmq python3-msgpack python3-numpy`.
+It publishes what `python -m frontend.run ... --publish tcp://127.0.0.1:5555 [--points]` sends. It is one file that
+imports nothing of that package, so Humble's Python 3.10 runs it, too: `apt install python3-zmq python3-msgpack
+python3-numpy`. With points it stands for PL-VINS's point tracker, too.
 """
 
 import sys
@@ -20,6 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 MOST_MISSING = 1000  # images; as many clouds wait for a slow subscriber
 ARRAYS = {"ids": ("<i8",), "states": ("|u1",), "stable": ("|b1",), "observed_normalized": ("<f4", 2, 2)}
+POINTS = {"point_ids": ("<i8",), "points_px": ("<f4", 2), "points_normalized": ("<f4", 2)}
 
 
 def frames_from(address):
@@ -56,11 +58,17 @@ def tracks_of(message):
     if not (index >= 0 and 0 <= stamp_ns < 2**31 * 10**9 and stride >= 1):
         raise ValueError(f"frame {index} of stride {stride} at {stamp_ns} ns")
     tracks = {"frame_index": int(index), "stamp_ns": int(stamp_ns), "stride": int(stride)}
-    for name, (dtype, *shape) in ARRAYS.items():
-        array = message["arrays"][name]
-        tracks[name] = np.frombuffer(array["data"], dtype).reshape(array["shape"])
-        if array["dtype"] != dtype or tracks[name].shape != (len(tracks["ids"]), *shape):
-            raise ValueError(f"array {name} is {array['dtype']} {array['shape']}")
+    camera = message["camera"]
+    tracks["focal"] = float(camera["fx"]), float(camera["fy"])
+    tracks["middle"] = camera["width"] // 2, camera["height"] // 2
+    for first, arrays in (("ids", ARRAYS), ("point_ids", POINTS)):
+        if first not in message["arrays"] and first == "point_ids":
+            continue  # of a publisher from before there were points
+        for name, (dtype, *shape) in arrays.items():
+            array = message["arrays"][name]
+            tracks[name] = np.frombuffer(array["data"], dtype).reshape(array["shape"])
+            if array["dtype"] != dtype or tracks[name].shape != (len(tracks[first]), *shape):
+                raise ValueError(f"array {name} is {array['dtype']} {array['shape']}")
     tracks["usable"] = np.isfinite(tracks["observed_normalized"]).all((1, 2))  # a lens model can end
     return tracks
 
@@ -70,53 +78,102 @@ def header_of(stamp_ns, frame_id):
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
 
 
-def cloud_of(stamp_ns, numbers, segments):
-    """PL-VINS's layout."""
-    starts, ends = segments[:, 0], segments[:, 1]
-    channels = {"id_of_line": numbers, "u_of_endpoint": ends[:, 0].tolist(), "v_of_endpoint": ends[:, 1].tolist()}
+def cloud_of(stamp_ns, points, channels):
+    """A cloud on the plane z = 1; PL-VINS reads channels by position."""
     return PointCloud(
         header=header_of(stamp_ns, "world"),
-        points=[Point32(x=x, y=y, z=1.0) for x, y in starts.tolist()],
-        channels=[ChannelFloat32(name=name, values=values) for name, values in channels.items()],
+        points=[Point32(x=x, y=y, z=1.0) for x, y in points.tolist()],
+        channels=[ChannelFloat32(name=name, values=values.tolist()) for name, values in channels.items()],
     )
 
 
-class PlVinsClouds:
-    """The clouds of each frame, one for each message of PL-VINS's point tracker, which it pairs them with by order.
+def lines_of(stamp_ns, numbers, segments, focal=(1, 1), middle=(0, 0)):
+    """PL-VINS's lines, with the pixels of its undistorted picture."""
+    pixels = (segments * focal + middle).reshape(-1, 4)
+    columns = np.column_stack([numbers, segments[:, 1], pixels]).astype(np.float32).T
+    names = "id_of_line u_of_endpoint v_of_endpoint start_u_of_line start_v_of_line end_u_of_line end_v_of_line"
+    return cloud_of(stamp_ns, segments[:, 0], dict(zip(names.split(), columns, strict=True)))
 
-    That publishes every stride-th image, but not the first of all. So there is an empty cloud for each of them that is
-    missing, between two frames or, if this node came late, before the first.
-    """
+
+def points_of(stamp_ns, numbers, points, pixels, velocities):
+    """PL-VINS's points, with the velocities of VINS-Mono's."""
+    columns = np.column_stack([numbers, pixels, velocities]).astype(np.float32).T
+    names = "id_of_point u_of_point v_of_point velocity_x_of_point velocity_y_of_point"
+    return cloud_of(stamp_ns, points, dict(zip(names.split(), columns, strict=True)))
+
+
+class Numbers:
+    """Numbers for ids of consecutive clouds: PL-VINS wants no gaps, so one that was away gets a new number."""
 
     def __init__(self):
-        self.numbers, self.next = {}, 0  # of the tracks in the cloud before, and of the next new one
-        self.before, self.sent = None, 0  # index and stamp of the frame before; image of the cloud before
+        self.given, self.next = {}, 0
+
+    def of(self, ids):
+        given = {}
+        for one in ids:
+            if one not in self.given:
+                self.given[one], self.next = self.next, (self.next + 1) % 2**24
+            given[one] = self.given[one]
+        self.given = given
+        return list(given.values())
+
+
+class PlVinsClouds:
+    """The clouds of each frame.
+
+    Without points there is one for each message of PL-VINS's point tracker, which it pairs them with by order. That
+    publishes every stride-th image, but not the first of all. So there is an empty cloud for each of them that is
+    missing, between two frames or, if this node came late, before the first. With points there is a pair of clouds for
+    each frame in which a point is seen again, and no other.
+    """
+
+    def __init__(self, points=False):
+        self.points, self.lines_numbers, self.points_numbers = points, Numbers(), Numbers()
+        self.before, self.sent = None, -1 if points else 0  # the frame before; image of the cloud before
 
     def of_frame(self, frame):
+        """Clouds of lines, and of points."""
+        index, stamp_ns, before, self.before = frame["frame_index"], frame["stamp_ns"], self.before, frame
+        empty = [] if self.points else self.missing(frame, before)
+        if index <= self.sent:
+            return [], []
+        points = self.moved(frame, before) if self.points else []
+        if self.points and not points:
+            return [], []
+        self.sent = index
+        chosen = (frame["states"] == 1) & frame["usable"]
+        numbers = self.lines_numbers.of(frame["ids"][chosen].tolist())
+        lines = lines_of(stamp_ns, numbers, frame["observed_normalized"][chosen], frame["focal"], frame["middle"])
+        return [*empty, lines], points
+
+    def missing(self, frame, before):
         index, stamp_ns, stride = frame["frame_index"], frame["stamp_ns"], frame["stride"]
         if index % stride:
             sys.exit(f"frame {index} is none that PL-VINS publishes, whose numbers {stride} divides: use no --start")
-        before, before_ns = self.before or (0, max(0, stamp_ns - index))
-        self.before = index, stamp_ns
-        missing = (index - self.sent) // stride - 1
-        if missing < 0:
+        images = range(self.sent + stride, index, stride)
+        if len(images) > MOST_MISSING:
+            sys.exit(f"{len(images)} images are missing before frame {index}: start this node before the frontend")
+        if images:
+            self.lines_numbers.of([])
+        first, first_ns = (before["frame_index"], before["stamp_ns"]) if before else (0, max(0, stamp_ns - index))
+        stamps = [first_ns + (stamp_ns - first_ns) * (image - first) // (index - first) for image in images]
+        return [lines_of(one, [], np.zeros((0, 2, 2))) for one in stamps]
+
+    def moved(self, frame, before):
+        if before is None or frame["stamp_ns"] <= before["stamp_ns"]:
             return []
-        if missing > MOST_MISSING:
-            sys.exit(f"{missing} images are missing before frame {index}: start this node before the frontend")
-        images, self.sent = range(self.sent + stride, index, stride), index
-        if missing:
-            self.numbers = {}
-        chosen = (frame["states"] == 1) & frame["usable"]
-        numbers = {}
-        for track in frame["ids"][chosen].tolist():
-            if track not in self.numbers:  # PL-VINS wants no gaps: a track that was lost gets a new number
-                self.numbers[track], self.next = float(self.next), (self.next + 1) % 2**24
-            numbers[track] = self.numbers[track]
-        self.numbers = numbers
-        none = np.zeros((0, 2, 2))
-        stamps = [before_ns + (stamp_ns - before_ns) * (image - before) // (index - before) for image in images]
-        clouds = [cloud_of(one, [], none) for one in stamps]
-        return [*clouds, cloud_of(stamp_ns, list(numbers.values()), frame["observed_normalized"][chosen])]
+        if not len(frame.get("point_ids", ())) and not len(before.get("point_ids", ())):
+            print(f"frame {frame['frame_index']} has no points: does frontend.run have --points?", file=sys.stderr)
+            return []
+        ids, rows, earlier = np.intersect1d(frame["point_ids"], before["point_ids"], True, return_indices=True)
+        now = frame["points_normalized"]
+        seconds = (frame["stamp_ns"] - before["stamp_ns"]) / 10**9
+        velocities = (now[rows] - before["points_normalized"][earlier]) / seconds
+        known = np.isfinite(velocities).all(1)
+        if not known.any():
+            return []
+        numbers, rows = self.points_numbers.of(ids[known].tolist()), rows[known]
+        return [points_of(frame["stamp_ns"], numbers, now[rows], frame["points_px"][rows], velocities[known])]
 
 
 def markers_of(frame):
@@ -128,17 +185,21 @@ def markers_of(frame):
     return MarkerArray(markers=[marker])
 
 
-def main(address):
+def main(address, points=False):
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends the loop below
     node = Node("airline_lines")
-    clouds = node.create_publisher(PointCloud, "/linefeature_tracker/linefeature", MOST_MISSING)
+    of_lines = node.create_publisher(PointCloud, "/linefeature_tracker/linefeature", MOST_MISSING)
+    of_points = node.create_publisher(PointCloud, "/feature_tracker/feature", MOST_MISSING) if points else None
     markers = node.create_publisher(MarkerArray, "/lines/markers", 10)
-    lines = PlVinsClouds()
+    clouds = PlVinsClouds(points)
     for frame in frames_from(address):
-        for cloud in lines.of_frame(frame):
-            clouds.publish(cloud)
+        lines, dots = clouds.of_frame(frame)
+        for cloud in lines:
+            of_lines.publish(cloud)
+        for cloud in dots:
+            of_points.publish(cloud)
         markers.publish(markers_of(frame))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], "--points" in sys.argv[2:])

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from frontend.camera.model import CameraModel
     from frontend.frame import Frame
     from frontend.history import Observations, TrackHistory
+    from frontend.matching import LineMatches, match_lines
     from frontend.pipeline import LineFrontend
     from frontend.protocols import FrameResult, Sink, Source
     from frontend.sources import open_source
@@ -16,13 +17,23 @@ if TYPE_CHECKING:
     from frontend.tracking.config import TrackerConfig
     from frontend.tracks import LineTracks, TrackState
 
-__all__ = ["CameraModel", "Frame", "FrameResult", "LineFrontend", "LineTracker", "LineTracks", "Observations", "Sink"]
-__all__ += ["Source", "TrackHistory", "TrackState", "TrackerConfig", "open_source"]
+__all__ = ["CameraModel", "Frame", "FrameResult", "LineFrontend", "LineMatches", "LineTracker", "LineTracks"]
+__all__ += [
+    "Observations",
+    "Sink",
+    "Source",
+    "TrackHistory",
+    "TrackState",
+    "TrackerConfig",
+    "match_lines",
+    "open_source",
+]
 
 _MODULES = {
     "camera.model": ("CameraModel",),
     "frame": ("Frame",),
     "history": ("Observations", "TrackHistory"),
+    "matching": ("LineMatches", "match_lines"),
     "pipeline": ("LineFrontend",),
     "protocols": ("FrameResult", "Sink", "Source"),
     "sources": ("open_source",),

@@ -50,6 +50,13 @@ def build_parser() -> Parser:
         metavar="DIR",
         help="also clips with poses, of KITTI, ICL-NUIM, TUM",
     )
+    parser.add_argument(
+        "--match",
+        type=Path,
+        nargs="*",
+        metavar="DIR",
+        help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
+    )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
     parser.add_argument(
         "--worst",
@@ -78,6 +85,8 @@ def run(options: argparse.Namespace) -> None:
     from frontend.evaluation.metrics import identity_scores
     from frontend.evaluation.rendered import SceneClip
 
+    if options.match is not None:
+        return _match(options)
     clips, posed_clips = _chosen(options)
     detect = AirLine()
     sequences: dict[str, Any] = {}
@@ -100,6 +109,21 @@ def run(options: argparse.Namespace) -> None:
         _draw_worst(options, folder, folder, runs)
     _show(sequences, accurate, posed)
     write_json(options.json, {"sequences": sequences, "accuracy": accurate, "posed": posed})
+
+
+def _match(options: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from frontend.evaluation import report
+    from frontend.evaluation.matches import match_figures
+
+    figures: dict[str, Any] = {}
+    for folder in options.match or [None]:
+        figures |= match_figures(folder)
+    console = Console()
+    console.print(report.table("Pairs of lines of two images", figures, report.MATCHES))
+    console.print(report.MATCH_LEGEND)
+    write_json(options.json, {"matches": figures})
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:

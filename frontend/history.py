@@ -201,5 +201,5 @@ def _observations(track_id: int, rows: deque[np.void], ended: bool) -> Observati
     table = np.array(rows, _ROW)
     columns: dict[str, Any] = {name: table[name].copy() for name in _ROW.names or ()}
     if not columns.pop("has_camera").all():
-        columns |= dict.fromkeys(one.name for one in DERIVED)
+        columns |= dict.fromkeys(one.name for one in _KEPT if one in DERIVED)
     return Observations(track_id, ended=ended, **columns)

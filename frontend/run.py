@@ -111,6 +111,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                         with_images=options.with_images,
                         labels=options.labels,
                         stride=stride,
+                        points=config.tracker.points,
                     )
                 if save is not None or viewer is not None:
                     facts = properties(options.input, source, first, config, notes)

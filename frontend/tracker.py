@@ -21,6 +21,7 @@ from frontend.tracking.guided import look_for
 from frontend.tracking.measurement import with_bias, with_rest
 from frontend.tracking.overlap import absorbed, covered, doubles, parents
 from frontend.tracking.pairing import Pairs, gated, pair
+from frontend.tracking.points import PointTracker
 from frontend.tracking.prediction import camera_of, focal_of, predicted
 from frontend.tracking.seen import Seen, detected
 from frontend.tracking.selection import Selection
@@ -49,6 +50,7 @@ class LineTracker:
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
         self._selection = Selection(self.config.max_lines)
+        self._points = PointTracker() if self.config.points else None
         self._next_id = 0
         self._tracks: TrackTable | None = None
         self._image: WorkingImage | None = None
@@ -81,10 +83,11 @@ class LineTracker:
         seen = detected(lines, gray)
         earlier = no_tracks(seen.features) if self._tracks is None else self._tracks
         tracks, pairs, lengths, noise = earlier, np.full(len(earlier), -1, np.int32), np.full(len(earlier), np.inf), 1.0
-        reset = self._reset_reason(frame.stamp_ns, size)
+        reset, motion = self._reset_reason(frame.stamp_ns, size), None
         if reset is None and len(earlier) and not blind:
             ahead = predicted(earlier, image if self._image is None else self._image, image, camera, size, self._motion)
             tracks, lengths, self._motion = ahead.tracks, ahead.lengths, ahead.motion
+            motion = ahead.motion
             pairs = pair(tracks, seen.features, self.config)
             reset = _cut_reason(ahead.trusted, earlier.visible, pairs, len(lines))
             if reset is None:
@@ -103,6 +106,12 @@ class LineTracker:
         self._tracks, self._size, self._stamp_ns = tracks, size, frame.stamp_ns
         ended = np.setdiff1d(earlier.ids, tracks.ids, assume_unique=True)
         found = self._result(frame, seen, tracks, line_of, ended, reset)
+        if self._points is not None:
+            if blind or reset is not None:
+                self._points.end_all()
+            if not blind:
+                point_ids, points = self._points.update(gray, image, camera, motion)
+                found = replace(found, point_ids=point_ids, points_px=points)
         return self._confirmations.add(self._selection.of(found, size))
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:

@@ -27,9 +27,13 @@ class TrackState(IntEnum):
     CONFIRMED = 1
 
 
+ROWS = {"seen": ("N", "ids"), "lost": ("L", "lost_ids"), "ended": ("E", "ended_ids"), "points": ("P", "point_ids")}
+"""Whose rows an array has: the letter of its first axis, and the field that says how many there are."""
+
+
 @dataclass(frozen=True)
 class Field:
-    """What an array of `LineTracks` holds, one row per line.
+    """What an array of `LineTracks` holds, one row per line or point.
 
     Attributes:
         meaning: for people, in files too.
@@ -37,7 +41,7 @@ class Field:
         shape: of a row; (-1,) is any length, the same for all rows of a frame.
         columns: names in Parquet and CSV, one for each number of a row; by default the field's name. A name that comes
             twice is the same number. Rows of any length, and those of lost and ended tracks, are one column.
-        rows: whose: tracks seen in the frame (N), lost (L) or ended (E).
+        rows: whose: tracks seen in the frame (N), lost (L) or ended (E), or points (P).
         older: what stands for it in files from before it was there; None: all files have it.
         words: what tables have in place of the numbers 0, 1, ...
         name: of the attribute. It and the dtype come from the declaration.
@@ -48,7 +52,7 @@ class Field:
     unit: str = ""
     shape: tuple[int, ...] = ()
     columns: str = ""
-    rows: Literal["seen", "lost", "ended"] = "seen"
+    rows: Literal["seen", "lost", "ended", "points"] = "seen"
     older: float | None = None
     words: tuple[str, ...] = ()
     name: str = ""
@@ -57,13 +61,13 @@ class Field:
     @property
     def text(self) -> str:
         """Shape, unit and meaning, such as "(N, 2, 2) px, the line"."""
-        axes = [{"seen": "N", "lost": "L", "ended": "E"}[self.rows], *("C" if n < 0 else str(n) for n in self.shape)]
+        axes = [ROWS[self.rows][0], *("C" if n < 0 else str(n) for n in self.shape)]
         return f"({', '.join(axes)}) {self.unit + ', ' if self.unit and ',' not in self.unit else ''}{self.meaning}"
 
     @property
     def numbers(self) -> list[tuple[str, str]]:
         """Name and unit of each column, in the order of a row's numbers."""
-        count = 1 if self.shape == (-1,) or self.rows != "seen" else int(np.prod(self.shape))
+        count = 1 if self.shape == (-1,) or self.rows in ("lost", "ended") else int(np.prod(self.shape))
         names = self.columns.split() or [self.name if count == 1 else f"{self.name}_{k}" for k in range(count)]
         units = self.unit.split(", ")
         return list(zip(names, units if len(units) == count else [self.unit] * count, strict=True))
@@ -157,6 +161,19 @@ class LineTracks:
     ended_ids: Annotated[Int64, Field("track that will never be seen again", rows="ended")] = field(
         default_factory=_no_ids
     )
+    point_ids: Annotated[
+        Int64,
+        Field(
+            "point followed beside the lines, ascending, never used again; one that is not here has ended",
+            columns="point_id",
+            rows="points",
+            older=0,
+        ),
+    ] = field(default_factory=_no_ids)
+    points_px: Annotated[
+        Float32,
+        Field("where it is in this frame, a corner of the image", "px", (2,), "point_x point_y", "points", older=0),
+    ] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     camera: CameraModel | None = None
     reset: str | None = None
     earlier: tuple[tuple[LineTracks, NDArray[np.intp]], ...] = field(default=(), compare=False, repr=False)
@@ -195,6 +212,11 @@ class LineTracks:
         return covariances_on_plane(self.observed_px, self.observed_covariances, ends, np.float64(there) - back)
 
     @cached_property
+    def points_normalized(self) -> Float32 | None:
+        """(P, 2) float32 undistorted coordinates of `points_px` on the plane z = 1; None without a camera."""
+        return None if self.camera is None else self.camera.normalize(self.points_px)
+
+    @cached_property
     def _on_plane(self) -> Float32 | None:
         """(4, N, 2, 2) fused, observed, and these moved across by half a pixel: one call takes half the time of two."""
         if self.camera is None:
@@ -219,7 +241,7 @@ class LineTracks:
         return tuple(part for part in parts if len(part))
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> LineTracks:
-        """Some of the seen tracks; lost and ended ones stay."""
+        """Some of the seen tracks; lost and ended ones stay, and points."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in FIELDS if f.rows == "seen"})
 
 
@@ -266,5 +288,12 @@ DERIVED = (  # follow from the others where the camera is known
         unit=", rad, rad, rad^2",
         shape=(2, 2),
         columns="line_var_offset line_cov_offset_angle line_cov_offset_angle line_var_angle",
+    ),
+    _derived(
+        "points_normalized",
+        "the point undistorted, on the plane z = 1; NaN without a camera and where its lens model ends",
+        shape=(2,),
+        columns="point_u point_v",
+        rows="points",
     ),
 )

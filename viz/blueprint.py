@@ -7,7 +7,7 @@ from typing import Literal
 import rerun.blueprint as rrb
 
 Kind = Literal["minimal", "default", "full"]
-CLEAN, REST = ("/camera/tracks", "/camera/tails"), ("/camera/tracks/rest", "/camera/tracks/lost")
+CLEAN, REST = ("/camera/tracks", "/camera/tails", "/camera/points"), ("/camera/tracks/rest", "/camera/tracks/lost")
 BOLD, TAILS = "bold: long and old", "tails: where they were"
 WIDE = 2.5  # images of this width to height have the whole width of the window
 

@@ -21,6 +21,7 @@ LOST_TONE, LOST_GREY = 0.2, 120  # how much of its hue a lost line keeps, on whi
 TAIL_TONE = 0.75  # how dark a tail is beside its line
 # Radii are in pixels of the image per pixel of its size, which is the root of its area: pictures look alike at any size
 BOLD_RADIUS, THIN_RADIUS, FAINT_RADIUS = 0.0020, 0.0006, 0.0004
+POINT_RADIUS = 0.0025
 BOLD_LINES, SHOWN_LINES = 150, 450  # at most: more would hide the image, or each other
 LOST_FRAMES = 3  # lost lines are drawn for so many frames: where one should be is a guess, which soon is none
 TAIL_FRAMES, TAIL_STEP = 12, 3
@@ -35,7 +36,7 @@ class TrackLog:
     `/camera/tracks`: the best confirmed lines, the best of these bold; `/camera/tracks/rest`: all others that were
     seen. Both say their `track_id` and whether they were `measured` and not detected; pieces of broken lines are
     darker. `/camera/tracks/lost`: where lines should be that were lost in the last `LOST_FRAMES` frames, grey.
-    `/camera/tails`: where bold lines were.
+    `/camera/tails`: where bold lines were. `/camera/points`: points, once there are any, with their `point_id`.
 
     Args:
         stream: where to log to.
@@ -59,6 +60,7 @@ class TrackLog:
         self._rest = rest
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
+        self._points = False
         self._shown, self._bold = _Best(SHOWN_LINES), _Best(BOLD_LINES)
 
     def write(self, tracks: LineTracks, size: Size) -> None:
@@ -82,6 +84,11 @@ class TrackLog:
             dark = (TAIL_TONE * track_colours(ids)).astype(np.uint8)
             strips = _strips(strips_2d(points, lengths), dark, scale * THIN_RADIUS)
             self._stream.log(f"{self._root}/tails", strips)
+        if self._points or len(tracks.point_ids):
+            self._points = True
+            colours = packed(track_colours(tracks.point_ids))
+            dots = rr.Points2D(tracks.points_px + CORNER, colors=colours, radii=scale * POINT_RADIUS)
+            self._stream.log(f"{self._root}/points", dots, rr.AnyValues(point_id=pa.array(tracks.point_ids)))
 
     def _log_seen(
         self, entity: str, tracks: LineTracks, rows: NDArray[np.intp], radii: NDArray[np.float64] | float

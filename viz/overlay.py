@@ -12,14 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError
+from airline.image import to_gray, to_uint8
+from frontend.colours import track_colours
 
 if TYPE_CHECKING:
+    from frontend.matching import LineMatches
+    from frontend.sources.reading import Image
     from viz.recording import RecordedFrame
 
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel coordinates
 FAR = 1e6  # px; what lies farther out is no line in the picture
 FILM_QUALITY = "20"  # H.264's constant rate factor: thin coloured lines stay clear
 JPEG_QUALITY = 85
+ALONE = 150  # grey of lines without a partner
+GUTTER = 8  # px beside each of two images
 
 Picture = NDArray[np.uint8]
 
@@ -45,6 +51,17 @@ def draw_frame(frame: RecordedFrame) -> Picture:
             draw_lines(canvas, strips.points, strips.colours, strips.widths)
         panels.append(canvas)
     return np.hstack(panels)
+
+
+def draw_pairs(images: tuple[Image, Image], matches: LineMatches) -> Picture:
+    """Two images beside each other, BGR and dark, with their lines: pairs in one colour, others thin and grey."""
+    panels = [cv2.cvtColor(to_uint8(to_gray(image)) // 2, cv2.COLOR_GRAY2BGR) for image in images]
+    for canvas, lines, rows in zip(panels, (matches.first, matches.second), matches.pairs.T, strict=True):
+        alone = np.delete(lines.segments, rows, axis=0)
+        draw_lines(canvas, alone, np.full((len(alone), 3), ALONE, np.uint8), 1)
+        draw_lines(canvas, lines.segments[rows], track_colours(np.arange(len(rows))), 2)
+    height = max(len(canvas) for canvas in panels)
+    return np.hstack([np.pad(canvas, ((0, height - len(canvas)), (0, GUTTER), (0, 0))) for canvas in panels])
 
 
 def write_picture(path: Path, picture: Picture) -> None:

@@ -53,8 +53,9 @@ class RerunSink:
         descriptor_every: log the float descriptors every so many frames; 0 is never.
         jpeg_quality: of all pictures, 1 to 100.
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
-        layer: the entity of somebody's recording below which `tracks` and `tails` go, and nothing else of the above: no
-            image, figures, log, poses, name or layout, and no tracks beyond those shown but for the blueprint "full".
+        layer: the entity of somebody's recording below which `tracks`, `tails` and `points` go, and nothing else of the
+            above: no image, figures, log, poses, name or layout, and no tracks beyond those shown but for the blueprint
+            "full".
         coordinate_frame: of the image that a layer lies on, where Rerun knows it by a name, as it does for logs.
         frame_timeline, time_timeline: names of the two timelines.
         properties: what is known of the run, by name, as the property "airline" of the recording.
@@ -131,7 +132,7 @@ class RerunSink:
         if properties:
             self._stream.send_property(PROPERTY, rr.AnyValues(**properties))
         if coordinate_frame is not None:
-            for name in ("tracks", "tracks/rest", "tracks/lost", "tails"):
+            for name in ("tracks", "tracks/rest", "tracks/lost", "tails", "points"):
                 self._stream.log(f"{root}/{name}", rr.CoordinateFrame(coordinate_frame), static=True)
         if not self._layer:
             self._stream.send_recording_name(name or application_id)

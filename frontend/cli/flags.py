@@ -14,7 +14,10 @@ INPUT = (
     "video, image folder or pattern, log, camera (0, /dev/video0), URL, or - for a video on stdin "
     "(default: the built-in clip)"
 )
-OUT = "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/, FILE.bag or plvins.mcap; may be given several times"
+OUT = (
+    "write the tracks: FILE.mcap, FILE.parquet, FILE.csv, limap/; for PL-VINS and its kin: plvins.bag (or FILE.bag), "
+    "eplf.bag, uvslam.bag, or .mcap; may be given several times"
+)
 PUBLISH = (
     "send the tracks to other processes: tcp://127.0.0.1:5555 or ipc:///tmp/lines (ZeroMQ), "
     "ws://127.0.0.1:8765 (Foxglove); may be given several times"
@@ -53,7 +56,7 @@ FLAGS = {
     "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
     "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
     "detector": {"--preset": "preset", "--runtime": "runtime"},
-    "tracker": {"--max-lines N": "tracker.max_lines"},
+    "tracker": {"--max-lines N": "tracker.max_lines", "--points": "tracker.points"},
     "settings": {"--serial": "serial"},
 }
 """Flags by group: the setting that each stands for, whose field in `settings` says its type and its help."""

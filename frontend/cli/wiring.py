@@ -8,7 +8,7 @@ import sys
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from airline.errors import ConfigError, InputError
 from frontend.cli.settings import NO_CALIBRATION
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     import argparse
 
     from frontend.cli.settings import RunConfig
+    from frontend.matching import LineMatches
     from frontend.protocols import Sink, Source
+    from frontend.sources.reading import Image
     from frontend.tracks import LineTracks
     from logs.sinks.foxglove import FoxgloveServer
     from logs.sinks.zeromq import ZmqPublisher
@@ -110,13 +112,11 @@ def track_files(specs: list[str], *, overwrite: bool) -> list[list[Path]]:
     return [files_of(spec) for spec in specs]
 
 
-def open_track_sink(
-    spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False, stride: int = 1
-) -> Sink:
+def open_track_sink(spec: str, **options: Any) -> Sink:
     """An output for tracked lines; see `logs.sinks.open`."""
     from logs.sinks.open import open_track_sink
 
-    return open_track_sink(spec, overwrite=overwrite, with_images=with_images, labels=labels, stride=stride)
+    return open_track_sink(spec, **options)
 
 
 def read_tracks(path: Path) -> Iterator[LineTracks]:
@@ -131,6 +131,13 @@ def open_publisher(address: str, name: str, *, labels: bool, stride: int) -> Zmq
     from logs.sinks.open import open_publisher
 
     return open_publisher(address, name, labels=labels, stride=stride)
+
+
+def write_pairs(path: Path, images: tuple[Image, Image], matches: LineMatches) -> None:
+    """Write two images beside each other with their lines; InputError where that cannot be."""
+    from viz.overlay import draw_pairs, write_picture
+
+    write_picture(path, draw_pairs(images, matches))
 
 
 def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | None:

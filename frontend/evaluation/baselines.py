@@ -97,13 +97,9 @@ class _Tracks:
     def update(self, predicted: Segments, lines: Segments) -> Tracked:
         """Give lines (M, 2, 2), px, to the tracks, which should be at `predicted` (N, 2, 2); end old, begin new ones.
 
-        Pairs are one to one, as many as the gates allow, at the least total cost.
+        The pairs are those of `nearest_pairs`.
         """
-        forbidden = 1e3 * (self._max_distance + OVERLAP_WORTH)
-        costs = _costs(predicted, lines, self._max_distance, forbidden)
-        rows, columns = linear_sum_assignment(costs)
-        allowed = costs[rows, columns] < forbidden
-        rows, columns = rows[allowed], columns[allowed]
+        rows, columns = nearest_pairs(predicted, lines, self._max_distance)
         matched = lines[columns]
         turned = ((matched[:, 1] - matched[:, 0]) * (predicted[rows, 1] - predicted[rows, 0])).sum(axis=1) < 0
         matched[turned] = matched[turned, ::-1]
@@ -118,6 +114,17 @@ class _Tracks:
         line_of = np.concatenate([line_of[alive], new])
         seen = line_of >= 0
         return Tracked(self.ids[seen], line_of[seen], self.segments[seen], np.full(int(seen.sum()), -1, np.int64))
+
+
+def nearest_pairs(
+    predicted: Segments, lines: Segments, max_distance: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of one-to-one pairs, as many as the gates allow, at the least total cost."""
+    forbidden = 1e3 * (max_distance + OVERLAP_WORTH)
+    costs = _costs(predicted, lines, max_distance, forbidden)
+    rows, columns = linear_sum_assignment(costs)
+    allowed = costs[rows, columns] < forbidden
+    return rows[allowed], columns[allowed]
 
 
 @njit()

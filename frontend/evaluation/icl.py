@@ -12,8 +12,7 @@ from airline.errors import InputError
 from frontend.evaluation.truth import Truth
 from frontend.frame import Frame
 from frontend.sources.listing import list_images
-from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import read_still
+from frontend.sources.stills import read_image
 
 FRAMES_PER_SECOND = 30
 _CORNER = 0.5  # px: the labels have (0, 0) at the corner of the top-left pixel, we at its centre
@@ -41,16 +40,6 @@ class LabelledClip:
     def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
         for index, (row, truth) in enumerate(zip(self._images, self._truth, strict=True)):
             yield Frame(index, row.stamp_ns, read_image(row.path)), truth
-
-
-def read_image(path: Path) -> Image:
-    """(H, W[, 3]) grey or BGR; InputError where there is no image."""
-    try:
-        return read_still(path.read_bytes()).image
-    except OSError as error:
-        raise InputError(f"cannot read '{path}': {error}") from error
-    except UndecodableError as error:
-        raise InputError(f"'{path}' is no image that can be read, {error}: replace or remove it") from error
 
 
 def read_numbers(path: Path, columns: int, separator: str | None) -> NDArray[np.float64]:

@@ -16,10 +16,11 @@ from airline.errors import InputError
 from airline.evaluation.metrics import warp
 from airline.image import to_gray, to_uint8
 from airline.scenes.visibility import MIN_LENGTH
-from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image
+from frontend.evaluation.icl import FRAMES_PER_SECOND
 from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.listing import list_images
+from frontend.sources.stills import read_image
 
 _VIEW = 0.75  # size of the clip's images over that of the photograph
 _ZOOM = 1.1  # pixels of the view per pixel of the photograph, in the mean

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError, from_extra
 from frontend.camera.calibration import fit_camera, read_calibration
-from frontend.evaluation.icl import FRAMES_PER_SECOND, read_image, read_numbers
+from frontend.evaluation.icl import FRAMES_PER_SECOND, read_numbers
 from frontend.frame import Frame
 from frontend.sources.image_names import images_in
 from frontend.sources.listing import ImageRow, list_images
+from frontend.sources.stills import read_image
 
 with from_extra("evaluate"):
     from scipy.spatial.transform import Rotation, Slerp

@@ -44,6 +44,16 @@ One line in space: of tracks seen in 5 frames and more those are good of which
   by the mean length of what was observed and by frames.
 ms: median time of a tracker's update."""
 
+MATCH_LEGEND = """\
+P, R, F: precision, recall and their harmonic mean, %. Of labelled frames, some
+frames apart: a pair is right when both lines belong to the same true line;
+those without a true line count for nothing; R is of the true lines that were
+detected in both. Of views of a plane: when the first line, moved as the plane
+is, lies on the second one, to so many px in the mean of the four distances of
+an end from the other line, 10 degrees, and half of their lengths; R is of the
+pairs that could be made so. votes: frontend.match; nearest: nearest neighbour
+where the line was; moved: where votes' homography has it."""
+
 Row = Mapping[str, Any]  # a tracker's figures
 Columns = Mapping[str, Callable[[Row], str]]
 
@@ -97,6 +107,16 @@ ACCURACY: Columns = {
     "rms": _number("offset_rms", ".2f"),
     "angle": _number("angle_68", ".2f"),
     "rms ": _number("angle_rms", ".2f"),
+}
+MATCHES: Columns = {
+    "first": _number("lines", ".0f"),
+    "pairs": _number("pairs", "d"),
+    **{
+        f"{name}{px}": _number(f"{key}{px and '_' + px.strip()}", ".1f", 100)
+        for px in ("", " 3px", " 5px")
+        for name, key in (("P", "precision"), ("R", "recall"), ("F", "f"))
+    },
+    "ms": _number("ms", ".0f"),
 }
 CONSISTENT: Columns = {
     "tracks": _number("tracks", "d"),

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from pathlib import Path
 from pkgutil import resolve_name
 from threading import Lock
 from typing import Any, NamedTuple, cast
@@ -21,7 +22,7 @@ from PIL.ExifTags import Base
 from PIL.Image import DecompressionBombError, Exif
 from PIL.ImageFile import ImageFile
 
-from airline.errors import AirLineError, from_extra
+from airline.errors import AirLineError, InputError, from_extra
 from frontend.sources import tiff
 from frontend.sources.orientation import turned
 from frontend.sources.reading import Bytes, Image, UndecodableError, as_frame_image
@@ -71,6 +72,16 @@ class Still(NamedTuple):
 
     image: Image
     header: Header
+
+
+def read_image(path: Path) -> Image:
+    """(H, W[, 3]) grey or BGR first picture in a file; InputError where there is none."""
+    try:
+        return read_still(path.read_bytes()).image
+    except OSError as error:
+        raise InputError(f"cannot read '{path}': {error}") from error
+    except UndecodableError as error:
+        raise InputError(f"'{path}' is no image that can be read, {error}: replace or remove it") from error
 
 
 def decode_encoded(data: Bytes, autorotate: bool = True) -> Image:

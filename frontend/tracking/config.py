@@ -33,6 +33,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         gate: largest squared innovation of a pair, over what its covariance lets expect.
         max_gap_s: a longer gap between two frames ends all tracks, seconds.
         max_lines: hand out this many tracks per frame, the best ones; 0 is all.
+        points: follow corners of the image beside the lines, for backends that take both.
     """
 
     confirm_hits: int = 3
@@ -52,6 +53,7 @@ class TrackerConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     gate: float = 16.0
     max_gap_s: float = 1.0
     max_lines: Annotated[int, Meta(ge=0, description="hand out the N best tracks of each frame, 0 all")] = 0
+    points: Annotated[bool, Meta(description="follow points beside the lines too, for backends that take both")] = False
 
     def __post_init__(self) -> None:
         if self.confirm_hits < 1 or min(self.max_missed, self.max_missed_tentative, self.max_lines) < 0:

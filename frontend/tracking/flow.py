@@ -60,7 +60,7 @@ def flow(
     if not len(points):
         return points, np.zeros(0, np.bool_)
     start = np.ascontiguousarray((points + 0.5) / before.factor - 0.5, np.float32)[:, None]
-    first, second = _same_light(before.pixels, after.pixels)
+    first, second = same_light(before.pixels, after.pixels)
     moved, there, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **FLOW)
     returned, back, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, start.copy(), **FLOW_BACK)
     consistent = (there[:, 0] > 0) & (back[:, 0] > 0)
@@ -68,7 +68,7 @@ def flow(
     return scale_points(moved[:, 0], before.factor).astype(np.float32), consistent
 
 
-def _same_light(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def same_light(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both images; if the exposure jumped, the brighter one with the histogram of the darker one.
 
     Flow takes a point to look the same in both. A histogram says what any exposure and display curve did to the image.

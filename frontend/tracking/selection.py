@@ -35,7 +35,7 @@ class Selection:
         known = np.union1d(self._known, self._taken)
         keep = {"lost": _among(tracks.lost_ids, known), "ended": _among(tracks.ended_ids, known)}
         self._known = known[~_among(known, tracks.ended_ids)]
-        others = {f.name: getattr(tracks, f.name)[keep[f.rows]] for f in FIELDS if f.rows != "seen"}
+        others = {f.name: getattr(tracks, f.name)[keep[f.rows]] for f in FIELDS if f.rows in keep}
         return replace(tracks.take(rows), **others, left_out=len(tracks) - len(rows))
 
 

@@ -105,7 +105,7 @@ def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: 
 
 
 def _annotations(tracks: LineTracks, labels: bool) -> ImageAnnotations:
-    """The fused lines in the colours of their ids, tentative ones half transparent."""
+    """The fused lines in the colours of their ids, tentative ones half transparent; and points, where there are any."""
     stamp = _timestamp(tracks.stamp_ns)
     message = ImageAnnotations(timestamp=stamp)
     lines = message.points.add(type=PointsAnnotation.LINE_LIST, thickness=_THICKNESS, timestamp=stamp)
@@ -123,6 +123,12 @@ def _annotations(tracks: LineTracks, labels: bool) -> ImageAnnotations:
         text.position.x, text.position.y = points[k].mean(0).tolist()
         text.text_color.MergeFrom(lines.outline_colors[k])
         text.background_color.a = 0.5
+    if len(tracks.point_ids):
+        dots = message.points.add(type=PointsAnnotation.POINTS, thickness=_THICKNESS, timestamp=stamp)
+        for x, y in (tracks.points_px.astype(np.float64) + _CORNER).tolist():
+            dots.points.add(x=x, y=y)
+        for r, g, b in (track_colours(tracks.point_ids) / 255).tolist():
+            dots.outline_colors.add(r=r, g=g, b=b, a=1.0)
     return message
 
 

@@ -7,11 +7,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from airline.errors import ConfigError, InputError
-from logs.sinks.output import check_csv, check_folder, check_new, check_table, frames_table_of, journal_of
+from logs.sinks.output import check_csv, check_folder, check_new, check_table, journal_of, tables_of
 
 if TYPE_CHECKING:
     from frontend.protocols import Sink
@@ -22,18 +22,21 @@ KINDS = {  # what to give, the module and class that write it, and what refuses 
     "mcap": ("NAME.mcap (for Foxglove)", "foxglove", "McapTrackSink", check_new),
     "parquet": ("NAME.parquet", "tables", "ParquetTrackSink", check_table),
     "csv": ("NAME.csv", "tables", "CsvTrackSink", check_csv),
-    "bag": ("NAME.bag (for PL-VINS, in ROS 1)", "plvins", "PlVinsBagSink", check_new),
-    "plvins": ("plvins.mcap or plvins:NAME.mcap (the same in MCAP)", "plvins", "PlVinsTrackSink", check_new),
+    "bag": ("NAME.bag (for PL-VINS, in ROS 1)", "plvins", "VinsSink", check_new),
+    "plvins": ("plvins.mcap or plvins:NAME.mcap (the same in MCAP)", "plvins", "VinsSink", check_new),
+    "eplf": ("eplf.bag or eplf.mcap (for EPLF-VINS)", "plvins", "VinsSink", check_new),
+    "uvslam": ("uvslam.bag or uvslam.mcap (for UV-SLAM)", "plvins", "VinsSink", check_new),
     "limap": ("limap/ or limap:FOLDER (for LIMAP)", "limap", "LimapTrackSink", check_folder),
 }
+VINS = ("plvins", "eplf", "uvslam")
 
 
 def kind_and_path(spec: str) -> tuple[str, Path]:
     """The kind of output that a name stands for, and where it goes.
 
     Args:
-        spec: `KIND:PATH`; or a path, whose ending tells: `plvins.mcap`, other `.mcap`, `.parquet`, `.csv`, `.bag`, a
-            folder named `limap` or written with a slash at its end.
+        spec: `KIND:PATH`; or a path, whose ending tells: `plvins`, `eplf` or `uvslam` and `.bag` or `.mcap`, other
+            `.mcap`, `.parquet`, `.csv`, `.bag`, a folder named `limap` or written with a slash at its end.
 
     Raises:
         InputError: a name that stands for nothing.
@@ -45,10 +48,11 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
     name = path.name.lower()
     if spec.endswith(("/", os.sep)) or name == "limap":
         return "limap", path
-    if name.endswith("plvins.mcap"):
-        return "plvins", path
-    kind = path.suffix.lower().removeprefix(".")
-    if kind in KINDS.keys() - {"plvins", "limap"}:
+    stem, _, kind = name.rpartition(".")
+    for system in VINS:
+        if kind in ("bag", "mcap") and stem.endswith(system):
+            return system, path
+    if kind in KINDS.keys() - {*VINS, "limap"}:
         return kind, path
     raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
 
@@ -56,8 +60,7 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
 def files_of(spec: str) -> list[Path]:
     """What an output writes: the file or folder that it is named after, and what lies beside it."""
     kind, path = kind_and_path(spec)
-    beside = {"csv": frames_table_of, "parquet": journal_of}
-    return [path, beside[kind](path)] if kind in beside else [path]
+    return [path, *(tables_of(path) if kind == "csv" else [journal_of(path)] if kind == "parquet" else [])]
 
 
 def check(spec: str, overwrite: bool = False) -> None:
@@ -68,21 +71,29 @@ def check(spec: str, overwrite: bool = False) -> None:
 
 
 def open_track_sink(
-    spec: str, *, overwrite: bool = False, with_images: bool = False, labels: bool = False, stride: int = 1
+    spec: str,
+    *,
+    overwrite: bool = False,
+    with_images: bool = False,
+    labels: bool = False,
+    stride: int = 1,
+    points: bool = False,
 ) -> Sink:
-    """Open an output for tracked lines; raises InputError where `check` does.
+    """Open an output for tracked lines; raises InputError where `check` does, and ConfigError without points for it.
 
     Args:
         spec: see `kind_and_path`.
         overwrite: replace what is there.
         with_images, labels: write the images, and ids beside the lines, where the format can (MCAP for Foxglove).
         stride: the frames will be every stride-th of the recording, which PL-VINS's formats have to know.
+        points: the tracks will have points, which PL-VINS and its kin can take, too.
     """
     kind, path = kind_and_path(spec)
     _, module, sink, _ = KINDS[kind]
-    options: dict[str, int] = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
+    options: dict[str, Any] = {"with_images": with_images, "labels": labels} if kind == "mcap" else {}
     if module == "plvins":
-        options = {"stride": stride}
+        system, bag = ("plvins", True) if kind == "bag" else (kind, path.suffix.lower() == ".bag")
+        options = {"system": system, "bag": bag, "stride": stride, "points": points}
     opened: Sink = getattr(import_module(f"logs.sinks.{module}"), sink)(path, overwrite=overwrite, **options)
     return opened
 

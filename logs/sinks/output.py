@@ -44,14 +44,15 @@ def check_table(path: Path, overwrite: bool) -> None:
         )
 
 
-def frames_table_of(path: Path) -> Path:
-    """Where the list of frames of a CSV file lies."""
-    return path.with_name((path.stem if path.suffix.lower() == ".csv" else path.name) + ".frames.csv")
+def tables_of(path: Path) -> tuple[Path, Path]:
+    """Where the list of frames of a CSV file lies, and that of its points."""
+    name = path.stem if path.suffix.lower() == ".csv" else path.name
+    return path.with_name(f"{name}.frames.csv"), path.with_name(f"{name}.points.csv")
 
 
 def check_csv(path: Path, overwrite: bool) -> None:
-    """The same for a CSV file, and the list of its frames."""
-    for new in (path, frames_table_of(path)):
+    """The same for a CSV file, and the lists of its frames and points."""
+    for new in (path, *tables_of(path)):
         check_new(new, overwrite)
 
 

@@ -21,9 +21,9 @@ from frontend.camera.model import CameraModel
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.read import read_journal
-from logs.sinks.output import OutputFile, check_csv, check_new, check_table, frames_table_of, journal_of, whole_file
+from logs.sinks.output import OutputFile, check_csv, check_new, check_table, journal_of, tables_of, whole_file
 from logs.tracks.json import Camera
-from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, to_batch
+from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, points_of, to_batch
 
 _ROWS_WAITING = 50_000  # at most, 11 MB
 _GROUP_ROWS = 100_000  # 22 MB
@@ -141,14 +141,20 @@ class CsvTrackSink:
     frame. Floats have the shortest text that reads back as the same float32, always with a point or an exponent, and
     NaN where there is none: whatever stands in the first lines, readers that guess types find the right ones. All
     frames, those without lines too, are listed in NAME.frames.csv, with their number of lines and the reason of a
-    reset; not where the file is a pipe or device. Arguments and errors are those of `OutputFile`.
+    reset; points in NAME.points.csv, where there are any. Neither is written where the file is a pipe or device.
+    Arguments and errors are those of `OutputFile`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         path = Path(path)
         check_csv(path, overwrite)
         self._output = OutputFile(path, overwrite)
-        self._table = OutputFile(frames_table_of(path), overwrite) if path.is_file() else None
+        frames, self._points_path = tables_of(path)
+        self._table = OutputFile(frames, overwrite) if path.is_file() else None
+        self._points: OutputFile | None = None
+        if self._table is not None:
+            with errors_of(self._points_path):
+                self._points_path.unlink(missing_ok=True)
         self._frames: list[LineTracks] = []
         self._descriptor_length: int | None = None
         self._header_written = False
@@ -175,8 +181,9 @@ class CsvTrackSink:
                 self._flush()
                 self._output.close()
         finally:
-            if self._table is not None:
-                self._table.close()
+            for table in (self._table, self._points):
+                if table is not None:
+                    table.close()
 
     def _flush(self) -> None:
         table, listed = to_batch(self._frames), io.StringIO()
@@ -184,23 +191,36 @@ class CsvTrackSink:
         if not self._header_written:
             rows.writerow(("frame", "stamp_ns", "lines", "reset"))
         rows.writerows((one.frame_index, one.stamp_ns, len(one), one.reset) for one in self._frames)
+        with_points = [one for one in self._frames if len(one.point_ids)]
+        if with_points and self._table is not None:
+            begun, self._points = self._points is not None, self._points or OutputFile(self._points_path, False)
+            _append(self._points, _as_csv(points_of(with_points), not begun))
         self._frames = []
         length = _DESCRIPTOR_LENGTH if self._descriptor_length is None else self._descriptor_length
         descriptors = table.column("descriptor").flatten().to_numpy().reshape(len(table), length)
         columns = dict(zip(table.schema.names, table.columns, strict=True))
         columns |= {f"d{k}": pa.array(descriptors[:, k]) for k in range(length)}
-        columns = {name: _as_text(column) for name, column in columns.items() if name not in _NOT_IN_CSV}
-        text = pa.BufferOutputStream()
-        if not self._header_written:
-            text.write((",".join(columns) + "\n").encode("ascii"))
-        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
-        pyarrow.csv.write_csv(pa.table(columns), text, options)
-        for output, written in ((self._output, text.getvalue()), (self._table, listed.getvalue().encode())):
-            if output is not None:
-                with output.writing() as file:
-                    file.write(written)
-                    file.flush()
+        columns = {name: column for name, column in columns.items() if name not in _NOT_IN_CSV}
+        _append(self._output, _as_csv(pa.table(columns), not self._header_written))
+        if self._table is not None:
+            _append(self._table, listed.getvalue().encode())
         self._header_written = True
+
+
+def _append(output: OutputFile, text: bytes) -> None:
+    with output.writing() as file:
+        file.write(text)
+        file.flush()
+
+
+def _as_csv(table: pa.Table, header: bool) -> bytes:
+    text = pa.BufferOutputStream()
+    if header:
+        text.write((",".join(table.column_names) + "\n").encode("ascii"))
+    columns = [_as_text(column.combine_chunks()) for column in table.columns]
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+    pyarrow.csv.write_csv(pa.table(columns, names=table.column_names), text, options)
+    return text.getvalue().to_pybytes()  # type: ignore[no-any-return]
 
 
 def _as_text(column: pa.Array) -> pa.Array:

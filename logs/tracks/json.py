@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import DERIVED, FIELDS, Field, LineTracks, TrackState
+from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks, TrackState
 
 SECOND_NS = 1_000_000_000
 SCHEMA_NAME = "frontend.LineTracks"
@@ -72,9 +72,8 @@ def assembled(
         ValueError: an array is missing, or they do not fit each other.
     """
     complete: dict[str, Any] = {}
-    counts = {"seen": arrays.get("ids", ()), "lost": arrays.get("lost_ids", ()), "ended": arrays.get("ended_ids", ())}
     for field in FIELDS:
-        count = len(counts[field.rows])
+        count = len(arrays.get(ROWS[field.rows][1], ()))
         if field.name in arrays:
             complete[field.name] = arrays[field.name]
         elif field.older is not None:

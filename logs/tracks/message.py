@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.protocols import FrameResult
-from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
 from logs.tracks.json import Camera, Int, Size, assembled
 
 VERSION = 1
@@ -92,8 +92,7 @@ class _Tracks(_Envelope):
 
     def model(self) -> LineTracks:
         """The tracks; raises ValueError for arrays that do not fit, ConfigError for an odd camera."""
-        firsts = {"seen": "ids", "lost": "lost_ids", "ended": "ended_ids"}
-        counts = {rows: (self.arrays[name].shape or (0,))[0] for rows, name in firsts.items() if name in self.arrays}
+        counts = {rows: (self.arrays[ids].shape or (0,))[0] for rows, (_, ids) in ROWS.items() if ids in self.arrays}
         found = {}
         for field in FIELDS:
             if field.name in self.arrays and field.rows in counts:
@@ -121,7 +120,7 @@ def encode(
     for field in ARRAYS:
         dtype, array = field.dtype.newbyteorder("<"), getattr(tracks, field.name)
         if array is None:
-            array = np.full((len(tracks), *field.shape), np.nan)
+            array = np.full((len(getattr(tracks, ROWS[field.rows][1])), *field.shape), np.nan)
         arrays[field.name] = _Array(dtype.str, array.shape, np.asarray(array, dtype).tobytes())
     message = _Tracks(
         *(VERSION, "tracks", *envelope, result.read_ns, int(tracks.frame_index), int(tracks.stamp_ns)),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
 from logs.tracks.json import CONVENTIONS, Camera, assembled, decode_tracks, encode_tracks
 
 # The order of the first version's columns; fields that came later follow.
@@ -32,7 +32,7 @@ _SEEN = sorted(
     (one for one in (*FIELDS, *DERIVED) if one.rows == "seen"),
     key=lambda one: _ORDER.index(one.name) if one.name in _ORDER else len(_ORDER),
 )
-_PER_FRAME = [one for one in FIELDS if one.rows != "seen"]
+_PER_FRAME = [one for one in (*FIELDS, *DERIVED) if one.rows != "seen"]
 _MOST_ROWS = 1_000_000  # of a frame
 _DAMAGED = "its rows are damaged"
 
@@ -134,10 +134,11 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
     by_camera = [_joined([*run]) for _, run in groupby(frames, key=lambda tracks: id(tracks.camera))]
     for one in (*FIELDS, *DERIVED):
         names = [name for name, _ in one.numbers]
-        values = [_values(tracks, one) for tracks in (by_camera if one in DERIVED else frames)]
+        values = [_values(tracks, one) for tracks in (by_camera if one in DERIVED and one.rows == "seen" else frames)]
         flat = np.concatenate([np.empty(0, one.dtype), *(value.ravel() for value in values)])
         if one.rows != "seen":
-            columns[names[0]] = in_first_rows(value.ravel() for value in values)
+            split = [value.reshape(-1, len(names)).T for value in values]
+            columns |= {name: in_first_rows(parts[k] for parts in split) for k, name in enumerate(names)}
         elif one.shape == (-1,):
             ends = np.cumsum([0, *np.repeat(np.array([value.shape[1] for value in values], np.int64), counts)])
             columns[names[0]] = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
@@ -159,7 +160,21 @@ def _joined(frames: list[LineTracks]) -> LineTracks:
 
 def _values(tracks: LineTracks, one: Field) -> NDArray[Any]:
     values = getattr(tracks, one.name)
-    return np.zeros((len(tracks), *one.shape), one.dtype) if values is None else np.asarray(values, one.dtype)
+    count = len(getattr(tracks, ROWS[one.rows][1]))
+    return np.full((count, *one.shape), np.nan, one.dtype) if values is None else np.asarray(values, one.dtype)
+
+
+def points_of(frames: Sequence[LineTracks]) -> pa.Table:
+    """A row for each point of each frame, in columns named as those of a table of lines that hold lists of them."""
+    counts = [len(tracks.point_ids) for tracks in frames]
+    columns: dict[str, Any] = {
+        "stamp_ns": np.repeat(np.array([tracks.stamp_ns for tracks in frames], np.int64), counts),
+        "frame": np.repeat(np.array([tracks.frame_index for tracks in frames], np.int64), counts),
+    }
+    for one in (one for one in _PER_FRAME if one.rows == "points"):
+        values = np.concatenate([_values(tracks, one) for tracks in frames])
+        columns |= zip((name for name, _ in one.numbers), values.reshape(len(values), -1).T, strict=True)
+    return pa.table(columns)
 
 
 def needed_columns(schema: pa.Schema) -> list[str]:
@@ -244,6 +259,7 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
             open_rows[one.name] = _numbers(lists.flatten()), lengths, np.concatenate([[0], np.cumsum(lengths)])
         else:
             fixed[one.name] = np.stack([_numbers(columns[name]) for name in names], 1).reshape(-1, *one.shape)
+    whole = [one for one in _PER_FRAME if one not in DERIVED]  # journals have these too
     for start, end in zip(starts, [*starts, len(rows)][1:], strict=True):
         own = slice(start, end)
         if any(
@@ -253,9 +269,10 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
         arrays = {name: values[own].copy() for name, values in fixed.items()}
         for name, (values, lengths, ends) in open_rows.items():
             arrays[name] = values[ends[start] : ends[end]].reshape(end - start, lengths[start]).copy()
-        for one in _PER_FRAME:
-            if (name := one.numbers[0][0]) in columns:
-                arrays[one.name] = _list(columns[name][start], one)
+        for one in whole:
+            lists = [_list(columns[name][start]) for name, _ in one.numbers if name in columns]
+            if lists:
+                arrays[one.name] = _rows(lists, one)
         yield int(frames[start]), int(stamps[start]), arrays, columns["reset"][start].as_py()
 
 
@@ -265,10 +282,14 @@ def _numbers(column: pa.Array) -> NDArray[Any]:
     return column.to_numpy(zero_copy_only=False)  # type: ignore[no-any-return]
 
 
-def _list(value: pa.ListScalar, one: Field) -> NDArray[Any]:
+def _list(value: pa.ListScalar) -> NDArray[Any]:
     if not value.is_valid:
         raise InputError(f"{_DAMAGED}: lists are missing")
-    numbers = _numbers(value.values)
-    if numbers.size % max(1, int(np.prod(one.shape))):
-        raise InputError(f"{_DAMAGED}: lines are not whole")
-    return numbers.reshape(-1, *one.shape).copy()
+    return _numbers(value.values)
+
+
+def _rows(lists: list[NDArray[Any]], one: Field) -> NDArray[Any]:
+    """An array of a frame from its lists: one, or one for each number of a row."""
+    if len({len(numbers) for numbers in lists}) > 1 or lists[0].size * len(lists) % int(np.prod(one.shape)):
+        raise InputError(f"{_DAMAGED}: lines or points are not whole")
+    return np.stack(lists, axis=1).reshape(-1, *one.shape)

@@ -23,7 +23,8 @@ bench: --frames 1: --frames | bench: --size 640: '640' is no size | bench: --siz
 bench: nowhere.mp4: nowhere.mp4 | bench: --json no/such/folder.json: no folder no/such
 evaluate: --sequence nothing: no sequence 'nothing' | evaluate: --limit 1: --limit | evaluate: --limit many: --limit
 evaluate: --json nowhere/figures.json: no folder | evaluate: --photos nowhere: nowhere
-evaluate: --icl nowhere: nowhere | evaluate: --posed nowhere: nowhere
+evaluate: --icl nowhere: nowhere | evaluate: --posed nowhere: nowhere | evaluate: --match nowhere: nowhere
+match: none.png none.png: none.png
 soak: --frames 10: --frames | soak: --json no/such/x.json: no folder
 batch: none/*.mcap --out out: none/*.mcap | batch: log.mcap --out log.mcap: log.mcap
 batch: log.mcap --out file/out: file/out | batch: log.mcap: --out | batch: --out out: RECORDING
@@ -55,10 +56,11 @@ def test_what_cannot_be_used_is_said_in_a_sentence(case: str, tmp_path: Path, mo
         "from frontend.run import main; main(['--help'])",
         "from frontend.batch.__main__ import main; main(['--help'])",
         "from frontend.evaluate import main; main(['--help'])",
+        "from frontend.match import main; main(['--help'])",
     ],
 )
 def test_imports_and_help_load_nothing_heavy(work: str) -> None:
-    heavy = {"torch", "openvino", "rerun", "ray", "pyarrow", "numba", "cv2", "scipy", "natsort", "mcap"}
+    heavy = {"torch", "openvino", "poselib", "rerun", "ray", "pyarrow", "numba", "cv2", "scipy", "natsort", "mcap"}
     heavy |= {"numpy", "rich"} if "main" in work else set()
     code = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules)))\n{work}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

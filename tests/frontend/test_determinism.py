@@ -22,14 +22,16 @@ DIGEST = """
 import dataclasses, hashlib, sys
 import numpy as np
 from airline import AirLine
-from frontend import LineFrontend, open_source
+from frontend import LineFrontend, LineTracker, TrackerConfig, open_source
 folder, runtime, threads, serial = sys.argv[1:]
 if runtime == "torch":
     import torch
     torch.set_num_threads(int(threads))
 digest = hashlib.sha256()
 source = open_source(folder)
-for result in LineFrontend(AirLine(runtime=runtime, threads=int(threads))).results(source, serial=serial == "serial"):
+tracker = LineTracker(TrackerConfig(points=True))
+frontend = LineFrontend(AirLine(runtime=runtime, threads=int(threads)), tracker)
+for result in frontend.results(source, serial=serial == "serial"):
     for field in dataclasses.fields(result.tracks):
         value = getattr(result.tracks, field.name)
         digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())

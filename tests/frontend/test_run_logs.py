@@ -15,7 +15,7 @@ from logs import read_tracks
 from tests.helpers.camera_logs import Channel, Logged, text, write_log
 from tests.helpers.camera_messages import ROS2, cdr, info_fields, rendered
 from tests.helpers.command import command, recorded, refusal
-from tests.helpers.plvins import read_bag
+from tests.helpers.plvins import read_bag, read_messages
 
 EPOCH_NS = 1_700_000_000 * 10**9
 STEP_NS = 33_333_333
@@ -101,15 +101,26 @@ def test_calibration_file_and_undistortion(desk: Path, clip: Path) -> None:
     straight = list(read_tracks("straight.parquet"))
     assert all(tracks.camera is not None and tracks.camera.distortion == "none" for tracks in straight)
     assert not np.array_equal(bent[0].segments_px, straight[0].segments_px)
-
     for flags, hint in (
         (["--undistort"], "--calib"),
         (["--calib", "missing.yaml"], "missing.yaml"),
         (["--out", "plvins.mcap"], "--calib"),
+        (["--calib", "camera.json", "--out", "uvslam.bag"], "--points"),
     ):
         refused = command(clip, "--headless", *flags)
         assert (refused.code, refused.err.count("\n")) == (2, 1), refused
         assert hint in refused.err
+
+
+def test_points_for_pl_vins_and_its_kin(desk: Path, clip: Path) -> None:
+    Path("camera.json").write_text('{"width": 160, "height": 120, "fx": 120, "fy": 120, "cx": 79.5, "cy": 59.5}')
+    topics = {"plvins.bag": "/feature_tracker/feature", "eplf.mcap": "/lf_feature_tracker/feature"}
+    topics["uvslam.bag"] = topics["plvins.bag"]
+    flags = [flag for name in topics for flag in ("--out", name)]
+    assert command(clip, "--headless", "--calib", "camera.json", "--points", *flags).code == 0
+    for name, topic in topics.items():
+        clouds = [cloud for one, cloud in read_messages(desk / name) if one == topic]
+        assert [len(cloud.points) > 20 for cloud in clouds] == [True] * (len(list(clip.iterdir())) - 1)
 
 
 @pytest.mark.parametrize("start_s", [0, 0.19])

@@ -76,17 +76,18 @@ def made_tracks(
     *,
     lost: int = 0,
     ended: int = 0,
+    points: int = 2,
     camera: CameraModel | None = CAMERA,
     reset: str | None = None,
     length: int = 6,
 ) -> LineTracks:
     """Random tracks with these ids, in an image of 320 x 240 px; every field of the table has numbers."""
-    counts = {"seen": len(ids), "lost": lost, "ended": ended}
+    counts = {"seen": len(ids), "lost": lost, "ended": ended, "points": points}
     arrays: dict[str, Any] = {}
     for field in FIELDS:
         shape = (counts[field.rows], *(length if n < 0 else n for n in field.shape))
         if field.dtype.kind == "f":
-            values = rng.random(shape) * ((319, 239) if field.shape == (2, 2) else 1)
+            values = rng.random(shape) * ((319, 239) if field.shape[-1:] == (2,) else 1)
         else:
             values = rng.integers(0, 2 if field.dtype.itemsize == 1 else np.iinfo(field.dtype).max, shape)
         arrays[field.name] = values.astype(field.dtype)
@@ -110,6 +111,7 @@ def streams(draw: st.DrawFn) -> list[LineTracks]:
             *(index, stamp_ns, np.array(sorted(ids), np.int64), rng),
             lost=draw(st.integers(0, 3)),
             ended=draw(st.integers(0, 3)),
+            points=draw(st.integers(0, 3)),
             camera=draw(st.sampled_from([CAMERA, CAMERA, FISHEYE, None])),
             reset=draw(st.none() | st.text(max_size=20)),
             length=draw(st.sampled_from([6, 6, 6, 1])),

@@ -56,7 +56,7 @@ def test_arrays_are_what_the_page_says() -> None:
 @pytest.mark.parametrize("field", DERIVED, ids=lambda field: field.name)
 def test_what_is_derived_is_nan_without_a_camera(field: Field) -> None:
     for camera in (CAMERA, None):
-        tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), camera=camera)
+        tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), points=4, camera=camera)
         message = msgspec.msgpack.decode(encoded(tracks))
         assert (message["camera"] is None) == (camera is None)
         array = message["arrays"][field.name]

@@ -18,11 +18,11 @@ from frontend.tracks import LineTracks
 from logs.files import open_log
 from logs.sinks import output, plvins
 from logs.sinks.open import open_track_sink
-from logs.sinks.plvins import TOPIC
 from logs.tracks.message import encode
 from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result_of, write_all
 from tests.helpers.plvins import (
     ROS1,
+    TOPIC,
     Clouds,
     clouds_of,
     has_rosbag,
@@ -135,7 +135,7 @@ def sent_by(node, stream: list[LineTracks], stride: int = 1) -> Clouds:
     clouds = []
     for tracks in stream:
         data = encode(result_of(tracks), stream=1, sequence=0, name="", sent_ns=0, stride=stride)
-        clouds += lines.of_frame(node["frame_of"](data))
+        clouds += lines.of_frame(node["frame_of"](data))[0]
     return clouds_of(clouds)
 
 

@@ -15,7 +15,7 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from frontend.tracks import DERIVED, FIELDS, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
 from logs.sinks.open import open_track_sink
 from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, write_all
 
@@ -102,7 +102,8 @@ def expected(tracks: list[LineTracks], csv: bool) -> Columns:
 
     def joined(one: Field, seen: LineTracks) -> Any:
         found = getattr(seen, one.name)
-        return np.full((len(seen), *one.shape), np.nan if csv else None) if found is None else found
+        rows = len(getattr(seen, ROWS[one.rows][1]))
+        return np.full((rows, *one.shape), np.nan if csv else None) if found is None else found
 
     columns: Columns = {
         "stamp_ns": ("<i8", [one.stamp_ns for one in tracks for _ in one.ids]),
@@ -110,9 +111,16 @@ def expected(tracks: list[LineTracks], csv: bool) -> Columns:
     }
     for field in (*FIELDS, *DERIVED):
         names, kind = [name for name, _ in field.numbers], field.dtype.str
-        per_frame = [[list(joined(field, one).ravel())] + [None] * (len(one) - 1) for one in tracks if len(one)]
         if field.rows != "seen":
-            columns[names[0]] = f"{kind} list", [cell for cells in per_frame for cell in cells]
+            for k, name in enumerate(names):
+                cells = [
+                    None
+                    if field in DERIVED and one.camera is None
+                    else [*joined(field, one).reshape(-1, len(names))[:, k]]
+                    for one in tracks
+                ]
+                spread = [[cell] + [None] * (len(one) - 1) for cell, one in zip(cells, tracks, strict=True) if len(one)]
+                columns[name] = f"{kind} list", [cell for row in spread for cell in row]
         elif field.name == "descriptors":
             rows = [list(row) for one in tracks for row in one.descriptors]
             columns["descriptor"] = f"{kind} list", rows
@@ -154,6 +162,34 @@ def test_types_and_values_are_those_that_were_written(case, ending: str, read: C
             assert found[name][0] == TYPES[kind][READERS.index(read)], name
         assert len(found[name][1]) == len(values)
         assert all(map(same, found[name][1], values)), name
+
+
+def test_points_are_a_table_too(tmp_path: Path) -> None:
+    """As their own CSV file, and from the lists of a Parquet file by the recipe of docs/mcap.md."""
+    tracks = [*stream([2, 2], points=3), *stream([0, 1, 2, 3], points=4, camera=None)[3:]]
+    names = ["point_id", "point_x", "point_y", "point_u", "point_v"]
+    nowhere = np.full((4, 2), np.nan, np.float32)
+    arrays = [(t.points_px, nowhere if t.points_normalized is None else t.points_normalized) for t in tracks]
+    expected = [
+        [np.concatenate([t.point_ids for t in tracks])],
+        *(np.concatenate(each).T for each in zip(*arrays, strict=True)),
+    ]
+    columns = [column for group in expected for column in group]
+    for ending in ("csv", "parquet"):
+        write_all(open_track_sink(f"{tmp_path}/t.{ending}"), tracks)
+    lists = ["frame", "stamp_ns", *names]
+    by_pandas = pd.read_parquet(tmp_path / "t.parquet", columns=lists).dropna(subset="point_id").explode(names[:3])
+    by_polars = pl.read_parquet(tmp_path / "t.parquet", columns=lists).drop_nulls("point_id").explode(names[:3])
+    for table in (pd.read_csv(tmp_path / "t.points.csv"), by_pandas, by_polars.to_pandas()):
+        assert table["frame"].tolist() == [t.frame_index for t in tracks for _ in t.point_ids]
+        assert table["stamp_ns"].tolist() == [t.stamp_ns for t in tracks for _ in t.point_ids]
+    for read in (pd.read_csv, lambda path: pl.read_csv(path).to_pandas()):
+        table = read(tmp_path / "t.points.csv")
+        for name, values in zip(names, columns, strict=True):
+            np.testing.assert_array_equal(table[name].to_numpy().astype(values.dtype), values)
+    for table in (by_pandas, by_polars.to_pandas()):
+        for name, values in zip(names[:3], columns, strict=False):
+            np.testing.assert_array_equal(table[name].to_numpy().astype(values.dtype), values)
 
 
 def test_polars_and_duckdb_tell_null_from_nan(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -17,10 +18,10 @@ from airline.errors import InputError
 from frontend.colours import track_colours
 from frontend.tracks import DERIVED, FIELDS
 from logs.read import read_tracks
-from logs.sinks.foxglove import McapTrackSink
+from logs.sinks.foxglove import McapTrackSink, message_for
 from logs.sinks.output import McapOutput
 from logs.tracks.json import SCHEMA, encode_tracks
-from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, write_all
+from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, result_of, write_all
 
 NO_ARRAYS = ("timestamp", "frame_index", "descriptor_length", "camera", "reset")
 MADE = made_tracks(0, 0, np.arange(3), np.random.default_rng(0))
@@ -84,6 +85,21 @@ def test_annotations_lie_on_the_lines_in_the_colours_of_the_ids(messages):
         places = np.array([(t.position.x, t.position.y) for t in message.texts]).reshape(-1, 2)
         np.testing.assert_allclose(places, middles, atol=1e-4)
     assert len(messages["/lines/annotations"][-1][2].texts) > 20
+
+
+def test_points_are_drawn_where_there_are_any(tmp_path):
+    made = [made_tracks(k, k, np.arange(3), np.random.default_rng(0), points=count) for k, count in enumerate([0, 5])]
+    without, tracks = made
+    assert len(message_of(without).points) == 1
+    dots = message_of(tracks).points[1]
+    assert dots.type == dots.POINTS
+    np.testing.assert_allclose([(p.x - 0.5, p.y - 0.5) for p in dots.points], tracks.points_px, atol=1e-9)
+    colours = np.array([(c.r, c.g, c.b) for c in dots.outline_colors]) * 255
+    np.testing.assert_allclose(colours, track_colours(tracks.point_ids), atol=1e-6)
+
+
+def message_of(tracks):
+    return ImageAnnotations.FromString(message_for("/lines/annotations", result_of(tracks), labels=False))
 
 
 def test_images_and_calibration(messages):

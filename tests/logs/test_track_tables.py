@@ -48,7 +48,7 @@ def test_one_row_per_observation(path, clip):
         ("u0 v0 u1 v1", "segments_normalized"),
         ("var_offset cov_offset_angle cov_offset_angle var_angle", "covariances"),
         ("measured", "measured"),
-        *((" ".join(name for name, _ in one.numbers), one.name) for one in DERIVED),
+        *((" ".join(name for name, _ in one.numbers), one.name) for one in DERIVED if one.rows == "seen"),
     ):
         expected = np.concatenate([getattr(tracks, field) for tracks in clip])
         found = np.stack([column[name] for name in names.split()], axis=1).reshape(expected.shape)
@@ -120,6 +120,22 @@ def test_csv_lists_frames_where_it_can(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["t.frames.csv"]
     write_all(CsvTrackSink("/dev/null", overwrite=True), [])
     assert not Path("/dev/null.frames.csv").exists()
+
+
+def test_points_have_a_csv_file_of_their_own_where_there_are_any(tmp_path):
+    rng = np.random.default_rng(0)
+    frames = [made_tracks(k, k, np.arange(2), rng, points=count) for k, count in enumerate([0, 2, 0, 3])]
+    write(tmp_path / "a.csv", frames[:1])
+    write(tmp_path / "b.csv", frames)
+    assert not (tmp_path / "a.points.csv").exists()
+    with (tmp_path / "b.points.csv").open() as file:
+        assert [row["frame"] for row in csv.DictReader(file)] == ["1", "1", "3", "3", "3"]
+    (tmp_path / "b.csv").unlink()
+    (tmp_path / "b.frames.csv").unlink()
+    with pytest.raises(InputError, match=r"b\.points\.csv' exists"):
+        CsvTrackSink(tmp_path / "b.csv")
+    write_all(CsvTrackSink(tmp_path / "b.csv", overwrite=True), frames[:1])
+    assert not (tmp_path / "b.points.csv").exists(), "points of an earlier run are none of this one's"
 
 
 def test_only_csv_is_taken_off_the_name_of_the_list(tmp_path):

@@ -15,11 +15,11 @@ import zmq
 
 from frontend.tracks import LineTracks
 from logs.sinks.open import open_publisher
-from logs.sinks.plvins import TOPIC, PlVinsBagSink
+from logs.sinks.plvins import VinsSink
 from logs.tracks.message import ARRAYS, encode
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result_of, write_tracks
-from tests.helpers.plvins import clouds_of, read_bag
+from tests.helpers.plvins import TOPIC, clouds_of, read_bag
 from tests.helpers.ros2 import NODE, Node, load_node
 
 PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
@@ -37,7 +37,7 @@ def frame_of(node: dict[str, Any], tracks: LineTracks) -> dict[str, Any]:
 
 def test_the_node_publishes_what_the_file_holds(node: dict[str, Any], tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("logs.sinks.zeromq.CONNECT_S", 1.0)  # the machine may be busy
-    write_tracks(PlVinsBagSink(tmp_path / "lines.bag"), clip_results())
+    write_tracks(VinsSink(tmp_path / "lines.bag"), clip_results())
     with closing(open_publisher("tcp://127.0.0.1:0", "clip")) as publisher:
         thread = threading.Thread(target=write_tracks, args=(publisher, clip_results()))
         thread.start()

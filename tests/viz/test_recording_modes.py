@@ -136,6 +136,18 @@ def test_states_differ_to_the_eye_and_carry_the_numbers(tmp_path):
     assert curve(rows, "counts", "lost") == [1]
 
 
+def test_points_are_logged_once_there_are_any(tmp_path):
+    assert "/camera/points" not in record(tmp_path / "off.rrd")
+    none, some, gone = frame_results(3)
+    points = {"point_ids": np.array([3, 8]), "points_px": np.float32([[0, 1.5], [20, 7]])}
+    results = [none, dataclasses.replace(some, tracks=dataclasses.replace(some.tracks, **points)), gone]
+    rows = record(tmp_path / "on.rrd", results)["/camera/points"]
+    assert rows["frame"] == [1, 2]
+    assert rows["point_id"] == [[3, 8], []]
+    np.testing.assert_array_equal(np.float32(rows["Points2D:positions"][0]), points["points_px"] + np.float32(0.5))
+    assert rows["Points2D:positions"][1] == []
+
+
 @pytest.mark.parametrize(("flags", "shown"), [({}, [5, 7]), ({"show_lost": True}, [5, 6, 7, 8])])
 def test_lost_lines_are_drawn_for_three_frames_unless_asked_for(tmp_path, flags, shown):
     (result,) = frame_results(1)
@@ -215,7 +227,7 @@ def test_ghosts_and_tentative_lines_are_shown_when_asked_for(tmp_path, kind):
     record(tmp_path / "run.rrd", blueprint=kind)
     contents = contents_of_views(tmp_path / "run.rrd")
     (tracks,) = (paths for name, paths in contents.items() if "racks (" in name)
-    shown = {f"/camera/{name}" for name in ("image", "tracks", "tails", "tracks/rest", "tracks/lost")}
+    shown = {f"/camera/{name}" for name in ("image", "tracks", "tails", "points", "tracks/rest", "tracks/lost")}
     assert tracks == shown if kind == "full" else tracks == shown - {"/camera/tracks/rest", "/camera/tracks/lost"}
 
 

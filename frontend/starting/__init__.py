@@ -1,0 +1,1 @@
+"""What `frontend.start` is made of."""
