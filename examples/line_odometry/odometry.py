@@ -22,12 +22,14 @@ from line_odometry.smoother import LAG, Smoother
 from line_odometry.triangulation import Triangulated, triangulate
 from line_odometry.views import Array, Ids, View, gather
 
-KEYFRAME_EVERY = 4  # views, at most
-KEYFRAME_SEEN = 0.7  # of the last keyframe's lines still in view; with fewer, a new keyframe comes sooner
+import os
+KEYFRAME_EVERY = int(os.environ.get("KE","4"))  # views, at most
+KEYFRAME_SEEN = float(os.environ.get("KS","0.7"))  # of the last keyframe's lines still in view; with fewer, a new keyframe comes sooner
 LEAST_VIEWS = 3  # of a line in the map
 MAX_RMS = 1.0  # px
-USABLE = 0.2  # spread (see `Triangulated`) of lines that are smoothed
-KNOWN = 0.02  # spread of lines that poses are found by
+import os
+USABLE = float(os.environ.get("USABLE","0.03"))  # spread (see `Triangulated`) of lines that are smoothed
+KNOWN = float(os.environ.get("KN","0.02"))  # spread of lines that poses are found by
 LEAST_KNOWN = 30  # lines, in the current view, before which the best of the others help out
 
 
@@ -93,8 +95,12 @@ class LineOdometry:
             self._begin(begun.poses)
 
     def trajectory(self) -> Array:
-        """(N, 3, 4) world_from_camera of all views; fewer or none while there has been too little motion to start."""
-        return np.array([_compose(self._keyposes[k], place) for k, place in self._places]).reshape(-1, 3, 4)
+        """(N, 3, 4) world_from_camera of all views, by the map as it is now; none while there was no start."""
+        poses = [self._pose(index) for index in range(len(self._places))]
+        for index in set(range(len(poses))) - {*self._keyframes, *self.lost}:
+            found = self._locate(self._views[index], poses[index])
+            poses[index] = poses[index] if found is None else found
+        return np.array(poses).reshape(-1, 3, 4)
 
     def _pose(self, index: int) -> Array:
         return _compose(self._keyposes[self._places[index][0]], self._places[index][1])
@@ -113,7 +119,7 @@ class LineOdometry:
     def _follow(self, index: int) -> None:
         """The pose of a view from the map; a keyframe of it if it is time for one."""
         number = len(self._keyframes) - 1
-        last, pose = self._keyframes[-1], self._locate(self._views[index])
+        last, pose = self._keyframes[-1], self._locate(self._views[index], _compose(self._pose(-1), self._motion))
         n_lost=len(self.lost)
         if pose is None:
             self.lost.append(index)
@@ -122,7 +128,7 @@ class LineOdometry:
             self._motion = _compose(_inverse(self._pose(-1)), pose)
         if pose is not None and len(self.lost)==n_lost and (
             index - last >= KEYFRAME_EVERY
-            or np.isin(self._views[last].ids, self._views[index].ids).mean() < KEYFRAME_SEEN
+            or self._share_seen(last, index) < KEYFRAME_SEEN
         ):
             self._keyframes.append(index)
             self._keyposes.append(pose)
@@ -131,12 +137,16 @@ class LineOdometry:
             return
         self._places.append((number, _compose(_inverse(self._keyposes[number]), pose)))
 
-    def _locate(self, view: View) -> Array | None:
+    def _share_seen(self, last, index):
+        known = self._views[last].ids[np.isfinite(self.map.find(self._views[last].ids)[1])]
+        return np.isin(known, self._views[index].ids).mean()
+
+    def _locate(self, view: View, near: Array) -> Array | None:
         """The pose of a view by the lines of the map that are known well, and the best of the others where few are."""
         ends, spread = self.map.find(view.ids)
         limit = max(KNOWN, np.sort(spread)[:LEAST_KNOWN].max(initial=0.0))
         rows = np.flatnonzero(spread <= min(limit, USABLE))
-        return pose_from_lines(view.ends[rows], ends[rows], self._focal)
+        return pose_from_lines(view.ends[rows], view.variances[rows], ends[rows], self._focal, near)
 
     def _improve(self, new: int) -> None:
         """Take the newest keyframes into the graph; all views since the oldest in it go with them."""

@@ -53,7 +53,7 @@ def triangulate(seen: Observations, poses: Array) -> Triangulated:
     middle = seen.sums(own[:, :, 3]) / np.maximum(seen.counts, 1)[:, None]
     ends = _reach(seen, *_meet(seen, planes, own[:, :, 3], middle), own)
     for _ in range(STEPS):
-        off, variances, depth = across(ends[seen.line], seen, own)
+        off, variances, depth, _ = across(ends[seen.line], seen, own)
         size = np.abs(off) / np.sqrt(variances)
         weight = np.minimum(1, HUBER / np.maximum(size, TINY)) / (variances * depth**2)
         along = ends[:, 1] - ends[:, 0]
@@ -63,7 +63,7 @@ def triangulate(seen: Observations, poses: Array) -> Triangulated:
         hessian += gauge + 1e-9 * np.einsum("nkii->nk", hessian)[:, :, None, None] * np.eye(3) + 1e-30 * np.eye(3)
         gradient = seen.sums((weight * off * depth)[:, :, None] * planes[:, None])
         ends = ends - np.linalg.solve(hessian, gradient[:, :, :, None])[:, :, :, 0]
-    off, variances, depth = across(ends[seen.line], seen, own)
+    off, variances, depth, _ = across(ends[seen.line], seen, own)
     counts = np.maximum(seen.counts, 1)
     surprise = np.maximum(1, seen.sums((off**2 / variances).mean(axis=1)) / counts)
     covariance = np.linalg.inv(hessian)
@@ -75,11 +75,11 @@ def triangulate(seen: Observations, poses: Array) -> Triangulated:
     return Triangulated(ends, rms, spread / np.maximum(far, TINY), ahead)
 
 
-def across(points: Array, seen: View | Observations, poses: Array) -> tuple[Array, Array, Array]:
+def across(points: Array, seen: View | Observations, poses: Array) -> tuple[Array, Array, Array, Array]:
     """How far points (M, 2, 3) are from the lines that were observed under poses (M, 3, 4).
 
     Returns:
-        (M, 2) distances on the plane z = 1, their variances there, and depths.
+        (M, 2) distances on the plane z = 1, their variances there, depths, and (M, 2, 2) images.
     """
     local = np.einsum("mki,mij->mkj", points - poses[:, None, :, 3], poses[:, :, :3])
     depth = local[:, :, 2]
@@ -88,7 +88,7 @@ def across(points: Array, seen: View | Observations, poses: Array) -> tuple[Arra
     place = image - seen.ends.mean(axis=1)[:, None]
     off = a * place[:, :, 0] + b * place[:, :, 1]
     beside = b * place[:, :, 0] - a * place[:, :, 1]
-    return off, seen.variances[:, :1] + beside**2 * seen.variances[:, 1:], depth
+    return off, seen.variances[:, :1] + beside**2 * seen.variances[:, 1:], depth, image
 
 
 def _meet(seen: Observations, planes: Array, centres: Array, middle: Array) -> tuple[Array, Array]:
