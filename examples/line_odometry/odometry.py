@@ -1,13 +1,13 @@
-"""The path of a camera from lines that were tracked: one class, one view after the other.
+"""The path of a camera from tracked lines, and from points where they are given: one class, one frame after the other.
 
-    odometry = LineOdometry()
+    odometry = LineOdometry(focal)
     for tracks in frontend.stream(source):
         odometry.add(tracks)
     odometry.trajectory()
 
-The map begins once the first view and a later one tell how the camera moved (`frontend.start`). From then on every
-view's pose comes from the map by RANSAC; every few views one is kept (a keyframe), new lines are triangulated, and the
-newest keyframes and their lines are smoothed together. Lines that do not stay one line in space leave the map.
+`frontend.start` begins. From then on every frame's pose comes from the map by RANSAC; every few frames one is kept (a
+keyframe), new lines are triangulated, and the newest keyframes and what they see are smoothed together. Lines that do
+not stay one line in space leave the map. Where nothing in view is in the map for long, another map begins behind it.
 """
 
 from __future__ import annotations
@@ -15,159 +15,211 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frontend import LineTracks
-from line_odometry.pose import pose_from_lines
+from frontend.start import start
+from line_odometry.pose import pose_from_map
+from line_odometry.residual import line_marks, point_marks
 from line_odometry.smoother import LAG, Smoother
-from line_odometry.triangulation import Triangulated, triangulate
-from line_odometry.views import Array, Ids, View, gather
+from line_odometry.triangulation import Triangulated, triangulate, triangulate_points
+from line_odometry.views import Array, Ids, View, gather, take
 
-import os
-KEYFRAME_EVERY = int(os.environ.get("KE","4"))  # views, at most
-KEYFRAME_SEEN = float(os.environ.get("KS","0.7"))  # of the last keyframe's lines still in view; with fewer, a new keyframe comes sooner
+KEYFRAME_EVERY = 4  # frames, at most
+KEYFRAME_SEEN = 0.7  # of the map's lines in the last keyframe still in view; with fewer, a new keyframe comes sooner
 LEAST_VIEWS = 3  # of a line in the map
 MAX_RMS = 1.0  # px
-import os
-USABLE = float(os.environ.get("USABLE","0.03"))  # spread (see `Triangulated`) of lines that are smoothed
-KNOWN = float(os.environ.get("KN","0.02"))  # spread of lines that poses are found by
+USABLE = 0.03  # spread (see `Triangulated`) of what is smoothed: GTSAM's Cholesky takes depths that are not known for none
+KNOWN = 0.02  # spread of what poses are found by
 LEAST_KNOWN = 30  # lines, in the current view, before which the best of the others help out
+LOST = 10  # frames without a pose before another map begins
 
 
 @dataclass(frozen=True)
 class Map:
-    """The lines in space so far.
+    """The lines, or points, in space so far.
 
     Attributes:
         ids: (N,) tracks, ascending.
-        ends: (N, 2, 3) points.
+        ends: (N, E, 3) two points of each line, or the point.
         spread: (N,) how well each is known, see `Triangulated`; infinite for those that are no line.
     """
 
-    ids: Ids = field(default_factory=lambda: np.zeros(0, np.int64))
-    ends: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))
-    spread: Array = field(default_factory=lambda: np.zeros(0))
+    ids: Ids
+    ends: Array
+    spread: Array
 
     def find(self, ids: Ids) -> tuple[Array, Array]:
-        """(M, 2, 3) points and (M,) spreads of tracks; NaN and infinite for those that are not in the map."""
+        """(M, E, 3) points and (M,) spreads of tracks; NaN and infinite for those that are not in the map."""
         place = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
         known = self.ids[place] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        ends, spread = np.full((len(ids), 2, 3), np.nan), np.full(len(ids), np.inf)
+        ends, spread = np.full((len(ids), *self.ends.shape[1:]), np.nan), np.full(len(ids), np.inf)
         ends[known], spread[known] = self.ends[place[known]], self.spread[place[known]]
         return ends, spread
 
-    def updated(self, ids: Ids, ends: Array, spread: Array) -> Map:
-        """The map with new or better lines of the given tracks, ascending."""
+    def updated(self, ids: Ids, found: Triangulated, usable: NDArray[np.bool_]) -> Map:
+        """The map with new or better places of the given tracks, ascending."""
         rest = ~np.isin(self.ids, ids)
         order = np.argsort(np.concatenate([self.ids[rest], ids]))
-        pairs = ((self.ids, ids), (self.ends, ends), (self.spread, spread))
-        return Map(*(np.concatenate([old[rest], new])[order] for old, new in pairs))
+        new = ids, found.ends, np.where(usable, found.spread, np.inf)
+        old = self.ids, self.ends, self.spread
+        return Map(*(np.concatenate([one[rest], other])[order] for one, other in zip(old, new, strict=True)))
+
+
+def empty_map(points: int) -> Map:
+    """A map of lines (two points each), or of points (one)."""
+    return Map(np.zeros(0, np.int64), np.zeros((0, points, 3)), np.zeros(0))
 
 
 class LineOdometry:
-    """Estimates a pose for every view, in the first view's axes.
+    """Estimates a pose for every frame from the first one that it could begin with, in that one's axes.
 
     Attributes:
-        map: the lines so far.
-        lost: views whose pose was guessed from the motion before, for want of lines.
+        first: that frame.
+        map, points: the lines so far, and the points.
+        lost: frames whose pose was guessed from the motion before, for want of anything that the map knows.
+        begun: frames with which maps began; what comes from the second on has a scale of its own, guessed likewise.
+        failed: keyframes that GTSAM could not solve for; the graph began anew there.
+        waits: why it has not begun.
     """
 
-    def __init__(self, focal: float, start) -> None:
-        self.map = Map()
+    def __init__(self, focal: float, *, points: bool = False) -> None:
+        """Weigh distances by a focal length, px; map points, too."""
+        self.map, self.points = empty_map(2), empty_map(1)
+        self.first = 0
         self.lost: list[int] = []
-        self._focal = focal
-        self._start = start
-        self._tracks: list[LineTracks] = []
+        self.begun: list[int] = []
+        self.failed: list[int] = []
+        self.waits = "no frame came"
+        self._oldest = 0  # keyframe in the graph
+        self._focal, self._with_points = focal, points
+        self._waiting: list[LineTracks] = []  # to begin
         self._views: list[View] = []
-        self._keyframes: list[int] = []  # their views
+        self._keyframes: list[int] = []
         self._keyposes: list[Array] = []
-        self._places: list[tuple[int, Array]] = []  # of each view: number of its keyframe, and its pose in that one's axes
+        self._places: list[tuple[int, Array]] = []  # of each view: its keyframe, by number, and its pose in that one's axes
+        self._motion = np.eye(4)  # from the frame before to the last one
 
     def add(self, tracks: LineTracks) -> None:
-        """Take the next view."""
+        """Take the next frame."""
         self._views.append(View.of(tracks))
-        index = len(self._views) - 1
-        if self._places:
-            self._follow(index)
+        near = self._pose(-1) @ self._motion if self._places else np.eye(4)
+        pose = self._locate(self._views[-1], near) if self._places else None
+        if pose is not None:
+            self._waiting.clear()
+            self._motion = np.linalg.inv(self._pose(-1)) @ pose
+            self._follow(pose)
             return
-        self._tracks.append(tracks)
-        begun = self._start(self._tracks)
-        if len(begun.poses):
-            self._begin(begun.poses)
+        if self._places:
+            self.lost.append(len(self._places))
+            self._place(near)
+        self._waiting.append(tracks)
+        if not self._places or len(self._waiting) > LOST:
+            self._begin()
 
     def trajectory(self) -> Array:
-        """(N, 3, 4) world_from_camera of all views, by the map as it is now; none while there was no start."""
+        """(N, 3, 4) world_from_camera of all frames from `first` on, by the map as it is now."""
         poses = [self._pose(index) for index in range(len(self._places))]
         for index in set(range(len(poses))) - {*self._keyframes, *self.lost}:
             found = self._locate(self._views[index], poses[index])
             poses[index] = poses[index] if found is None else found
-        return np.array(poses).reshape(-1, 3, 4)
+        return np.array(poses).reshape(-1, 4, 4)[:, :3]
 
     def _pose(self, index: int) -> Array:
-        return _compose(self._keyposes[self._places[index][0]], self._places[index][1])
+        number, place = self._places[index]
+        return self._keyposes[number] @ place
 
-    def _begin(self, poses: Array) -> None:
-        last = len(poses) - 1
-        self._keyframes = [*range(0, last, min(KEYFRAME_EVERY, max(1, last // 4))), last]
-        self._keyposes = [poses[frame] for frame in self._keyframes]
-        for index, pose in enumerate(poses):
-            number = max(k for k, frame in enumerate(self._keyframes) if frame <= index)
-            self._places.append((number, _compose(_inverse(self._keyposes[number]), pose)))
-        self._motion = np.eye(3, 4)
-        self._smoother = Smoother(poses[0], poses[last], len(self._keyframes) - 1)
-        self._improve(len(self._keyframes))
+    def _place(self, pose: Array) -> None:
+        """Put the next view where it goes with the last keyframe."""
+        self._places.append((len(self._keyposes) - 1, np.linalg.inv(self._keyposes[-1]) @ pose))
 
-    def _follow(self, index: int) -> None:
-        """The pose of a view from the map; a keyframe of it if it is time for one."""
-        number = len(self._keyframes) - 1
-        last, pose = self._keyframes[-1], self._locate(self._views[index], _compose(self._pose(-1), self._motion))
-        n_lost=len(self.lost)
-        if pose is None:
-            self.lost.append(index)
-            pose = _compose(self._pose(-1), self._motion)
+    def _begin(self) -> None:
+        """Begin a map with the frames that wait, if they tell how the camera moved."""
+        begun = start(self._waiting)
+        self.waits = begun.waits
+        if begun.waits:
+            del self._waiting[: begun.drop]
+            return
+        poses = np.tile(np.eye(4), (len(begun.poses), 1, 1))
+        poses[:, :3] = begun.poses
+        if self._places:  # where the camera was taken to be, and as fast as it was
+            poses[:, :3, 3] *= (len(poses) - 1) * np.linalg.norm(self._motion[:3, 3])
+            poses = self._pose(-len(poses)) @ poses
+            del self._places[-len(poses) :], self.lost[-len(poses) :]
         else:
-            self._motion = _compose(_inverse(self._pose(-1)), pose)
-        if pose is not None and len(self.lost)==n_lost and (
-            index - last >= KEYFRAME_EVERY
-            or self._share_seen(last, index) < KEYFRAME_SEEN
-        ):
+            self.first = len(self._views) - len(poses)
+            del self._views[: self.first]
+        frame, last = len(self._places), len(poses) - 1
+        kept = {*range(0, last, min(KEYFRAME_EVERY, max(1, last // 4))), last}
+        for index, pose in enumerate(poses):
+            if index in kept:
+                self._keyframes.append(frame + index)
+                self._keyposes.append(pose)
+            self._place(pose)
+        self.begun.append(self.first + frame)
+        self._oldest = len(self._keyframes) - len(kept)
+        self._smoother = Smoother(np.array(self._keyposes[self._oldest :]), self._oldest)
+        self._waiting.clear()
+        self._improve(len(kept))
+
+    def _follow(self, pose: Array) -> None:
+        """Keep a view whose pose is known; make it a keyframe if it is time for one."""
+        index, last = len(self._places), self._keyframes[-1]
+        before, now = self._views[last].lines.ids, self._views[index].lines.ids
+        seen = np.isin(before[np.isfinite(self.map.find(before)[1])], now)
+        if index - last >= KEYFRAME_EVERY or seen.mean() < KEYFRAME_SEEN:
             self._keyframes.append(index)
             self._keyposes.append(pose)
-            self._places.append((number + 1, np.eye(3, 4)))
+            self._place(pose)
             self._improve(1)
-            return
-        self._places.append((number, _compose(_inverse(self._keyposes[number]), pose)))
-
-    def _share_seen(self, last, index):
-        known = self._views[last].ids[np.isfinite(self.map.find(self._views[last].ids)[1])]
-        return np.isin(known, self._views[index].ids).mean()
+        else:
+            self._place(pose)
 
     def _locate(self, view: View, near: Array) -> Array | None:
-        """The pose of a view by the lines of the map that are known well, and the best of the others where few are."""
-        ends, spread = self.map.find(view.ids)
+        """The pose of a view by what the map knows well, and by the best of the other lines where few are."""
+        ends, spread = self.map.find(view.lines.ids)
         limit = max(KNOWN, np.sort(spread)[:LEAST_KNOWN].max(initial=0.0))
-        rows = np.flatnonzero(spread <= min(limit, USABLE))
-        return pose_from_lines(view.ends[rows], view.variances[rows], ends[rows], self._focal, near)
+        rows = np.flatnonzero(spread <= min(limit, 1.0))
+        points, errors = self.points.find(view.points.ids)
+        return pose_from_map(
+            take(view.lines, rows), ends[rows], take(view.points, errors < KNOWN), points[errors < KNOWN, 0], self._focal, near
+        )
 
     def _improve(self, new: int) -> None:
-        """Take the newest keyframes into the graph; all views since the oldest in it go with them."""
-        numbers = range(max(0, len(self._keyframes) - LAG), len(self._keyframes))
-        views, poses = [self._views[self._keyframes[number]] for number in numbers], np.array(self._keyposes[numbers[0] :])
-        current = np.unique(np.concatenate([view.ids for view in views[-new:]]))
-        seen = gather(views, LEAST_VIEWS, current)
-        found = triangulate(seen, poses)
-        usable = self._usable(found)
-        poses, _ = self._smoother.update(numbers, poses, seen.only(usable), found.ends[usable])
-        self._keyposes[numbers[0] :] = list(poses)
-        found = triangulate(seen, poses)
-        self.map = self.map.updated(seen.ids, found.ends, np.where(self._usable(found), found.spread, np.inf))
+        """Take the newest keyframes into the graph; the views since the oldest in it go with them."""
+        first = max(self._oldest, len(self._keyframes) - LAG)
+        views = [self._views[frame] for frame in self._keyframes[first:]]
+        poses = np.array(self._keyposes[first:])[:, :3]
+        current = np.unique(np.concatenate([view.lines.ids for view in views[-new:]]))
+        lines = gather([view.lines for view in views], LEAST_VIEWS, current)
+        found = triangulate(lines, poses)
+        good = self._usable(found)
+        import os
+        good &= found.spread <= np.partition(np.where(good, found.spread, np.inf), min(int(os.environ.get("MOST","150")), len(good) - 1))[min(int(os.environ.get("MOST","150")), len(good) - 1)]
+        marks = [self._marks(lines.only(good), found.ends[good], poses, first)]
+        if self._with_points:
+            current = np.unique(np.concatenate([view.points.ids for view in views[-new:]]))
+            points = gather([view.points for view in views], LEAST_VIEWS, current)
+            good = self._usable(triangulate_points(points, poses))
+            marks.append(point_marks(points.only(good), triangulate_points(points, poses).ends[good, 0]))
+        try:
+            poses = self._smoother.update(first, poses, marks)
+        except RuntimeError:  # GTSAM's IndeterminantLinearSystemException
+            self.failed.append(self.first + self._keyframes[-1])
+            self._oldest = max(first, len(self._keyframes) - LAG // 2)
+            self._smoother = Smoother(np.array(self._keyposes[self._oldest :]), self._oldest)
+        for number, pose in enumerate(poses, first):
+            self._keyposes[number] = np.vstack([pose, (0, 0, 0, 1)])
+        found = triangulate(lines, poses)
+        self.map = self.map.updated(lines.ids, found, self._usable(found, 1.0))
+        if self._with_points:
+            found = triangulate_points(points, poses)
+            self.points = self.points.updated(points.ids, found, self._usable(found, 1.0))
 
-    def _usable(self, found: Triangulated):
-        return found.ahead & (self._focal * found.rms < MAX_RMS) & (found.spread < USABLE)
+    def _marks(self, lines, ends, poses, first):
+        ids = np.stack([2 * lines.ids, 2 * lines.ids + 1], axis=1)
+        places = self._smoother.places(ids.ravel(), ends.reshape(-1, 3), first).reshape(-1, 2, 3)
+        return line_marks(lines, places, poses)
 
-
-def _compose(first: Array, second: Array) -> Array:
-    return np.column_stack([first[:, :3] @ second[:, :3], first[:, :3] @ second[:, 3] + first[:, 3]])
-
-
-def _inverse(pose: Array) -> Array:
-    return np.column_stack([pose[:, :3].T, -pose[:, :3].T @ pose[:, 3]])
+    def _usable(self, found: Triangulated, most: float = USABLE) -> NDArray[np.bool_]:
+        return found.ahead & (self._focal * found.rms < MAX_RMS) & (found.spread < most)

@@ -11,71 +11,81 @@ import cv2
 import numpy as np
 import poselib
 
-from line_odometry.views import TINY, Array
+from line_odometry.triangulation import POINT_ERROR
+from line_odometry.views import TINY, Array, Lines, Points
 
 MAX_ERROR = 2.0  # px, of an inlier
-LEAST_LINES = 6
-TRUNCATED = 25.0  # squared error, of the comparison of two poses
+LEAST = 6  # of the inliers
+FAR = 25.0  # squared error, of the comparison of two poses
 STEPS, HUBER = 6, 2.0  # of the last adjustment, and standard deviations from which on an error counts linearly there
 _IDEAL = {"model": "PINHOLE", "width": 1, "height": 1, "params": [1.0, 1.0, 0.0, 0.0]}  # points on the plane z = 1
 
 
-def pose_from_lines(ends: Array, variances: Array, points: Array, focal: float, near: Array) -> Array | None:
-    """(3, 4) the pose from which lines are seen; None where they agree on none.
+def pose_from_map(
+    lines: Lines, ends: Array, points: Points, places: Array, focal: float, near: Array
+) -> Array | None:
+    """(4, 4) the pose from which lines and points are seen; None where they agree on none.
 
     Args:
-        ends: (N, 2, 2) their end points on the plane z = 1.
-        variances: (N, 2) of their offsets at the middle, and of their angles.
-        points: (N, 2, 3) two points of each in space.
+        lines, points: N and P observed.
+        ends: (N, 2, 3) two points of each line in space.
+        places: (P, 3) the points there.
         focal: px.
-        near: (3, 4) where the camera should be: the answer where the lines agree as well with a pose beside it.
+        near: (4, 4) where the camera should be: the answer where all agrees as well with it as with what RANSAC finds.
     """
-    if len(points) < LEAST_LINES:
+    if len(ends) + len(places) < LEAST:
         return None
     pose, report = poselib.estimate_absolute_pose_pnpl(
-        np.zeros((0, 2)),
-        np.zeros((0, 3)),
+        points.places,
+        places,
+        lines.ends[:, 0],
+        lines.ends[:, 1],
         ends[:, 0],
         ends[:, 1],
-        points[:, 0],
-        points[:, 1],
         _IDEAL,
         {"max_reproj_error": MAX_ERROR / focal, "min_iterations": 30, "max_iterations": 500, "seed": 0},
         {"loss_type": "HUBER", "loss_scale": 0.5 / focal},
     )
-    if report["num_inliers"] < LEAST_LINES:
+    if report["num_inliers"] < LEAST:
         return None
     turn = np.asarray(pose.R).T
-    starts = near, np.column_stack([turn, -turn @ np.asarray(pose.t)])
-    found = [refined(start, ends, variances, points) for start in starts]
-    return min(found, key=lambda one: np.minimum(np.square(line_errors(one, ends, variances, points)[0]).sum(axis=1), TRUNCATED).sum())
+    ransac = np.vstack([np.column_stack([turn, -turn @ np.asarray(pose.t)]), (0, 0, 0, 1)])
+    found = [refined(one, lines, ends, points, places) for one in (near, ransac)]
+    return min(found, key=lambda one: np.minimum((errors_at(one, lines, ends, points, places)[0] ** 2).sum(axis=1), FAR).sum())
 
 
-def refined(pose: Array, ends: Array, variances: Array, points: Array) -> Array:
-    """(3, 4) the pose after Gauss-Newton steps, from about there; arguments as of `pose_from_lines`."""
+def refined(pose: Array, lines: Lines, ends: Array, points: Points, places: Array) -> Array:
+    """(4, 4) the pose after Gauss-Newton steps from about there."""
     for _ in range(STEPS):
-        errors, slopes = line_errors(pose, ends, variances, points)
+        errors, slopes = errors_at(pose, lines, ends, points, places)
         weight = np.minimum(1, HUBER / np.maximum(np.linalg.norm(errors, axis=1), TINY))[:, None, None]
-        hessian = (weight * slopes).reshape(-1, 6).T @ slopes.reshape(-1, 6)
-        step = -np.linalg.solve(hessian, (weight * slopes).reshape(-1, 6).T @ errors.ravel())
-        turn = pose[:, :3] @ cv2.Rodrigues(step[:3])[0]
-        pose = np.column_stack([turn, pose[:, 3] + pose[:, :3] @ step[3:]])
+        weighted, slopes = (weight * slopes).reshape(-1, 6), slopes.reshape(-1, 6)
+        step = -np.linalg.lstsq(weighted.T @ slopes, weighted.T @ errors.ravel(), rcond=None)[0]
+        change = np.eye(4)
+        change[:3, :3], change[:3, 3] = cv2.Rodrigues(step[:3])[0], step[3:]
+        pose = pose @ change
     return pose
 
 
-def line_errors(pose: Array, ends: Array, variances: Array, points: Array) -> tuple[Array, Array]:
-    """(N, 2) whitened errors of offset and angle, and their (N, 2, 6) derivatives.
+def errors_at(pose: Array, lines: Lines, ends: Array, points: Points, places: Array) -> tuple[Array, Array]:
+    """(N + P, 2) whitened errors of lines (offset, angle) and of points, and their (N + P, 2, 6) derivatives.
 
     These are by a turn of the camera and a shift of its centre, both in its own axes.
     """
-    a, b = np.moveaxis((points - pose[:, 3]) @ pose[:, :3], 1, 0)
+    a, b = np.moveaxis((ends - pose[:3, 3]) @ pose[:3, :3], 1, 0)
     images = np.cross(a, b)
-    size = np.hypot(images[:, 0], images[:, 1])[:, None]
-    first, last = np.moveaxis(np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=2), 1, 0)
+    size = np.hypot(images[:, 0], images[:, 1])[:, None] + TINY
+    first, last = np.moveaxis(np.concatenate([lines.ends, np.ones((len(ends), 2, 1))], axis=2), 1, 0)
     length = np.linalg.norm(last - first, axis=1, keepdims=True)
-    probes = np.stack([(first + last) / 2, (last - first) / length], axis=1) / np.sqrt(variances)[:, :, None]
+    probes = np.stack([(first + last) / 2, (last - first) / length], axis=1) / np.sqrt(lines.variances)[:, :, None]
     errors = (probes @ images[:, :, None])[:, :, 0] / size
     by_image = probes / size[:, :, None]
     by_image[:, :, :2] -= errors[:, :, None] * (images[:, None, :2] / size[:, None] ** 2)
     slopes = np.concatenate([np.cross(by_image, images[:, None]), np.cross(by_image, (b - a)[:, None])], axis=2)
-    return errors, slopes
+
+    local = (places - pose[:3, 3]) @ pose[:3, :3]
+    image, depth = local[:, :2] / local[:, 2:], local[:, 2, None, None]
+    by_local = np.concatenate([np.tile(np.eye(2), (len(local), 1, 1)), -image[:, :, None]], axis=2) / depth / POINT_ERROR
+    off = (image - points.places) / POINT_ERROR
+    off_slopes = np.concatenate([np.cross(by_local, local[:, None]), -by_local], axis=2)
+    return np.concatenate([errors, off]), np.concatenate([slopes, off_slopes])

@@ -1,4 +1,4 @@
-"""The residual of a line: points of it in space against the infinite line that a camera observed, as GTSAM factors.
+"""The residuals: points of a line in space against the infinite line that a camera observed, and points against points.
 
 Two points stand for a line in space. The image q of such a point may lie anywhere on the observed line, and off it by
 that line's offset and angle (see `frontend.camera.lines`). So with the normal n of the observed line, its direction u,
@@ -13,31 +13,64 @@ others `along` is so large that it says nothing.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
-from line_odometry.views import Array
+from line_odometry.triangulation import POINT_ERROR, across
+from line_odometry.views import Array, Ids, Lines, Observations, Points
 
 HELD, FREE = 0.05, 10.0  # standard deviations along the line, on the plane z = 1
-import os
-HUBER = float(os.environ.get("HUB","1.345"))  # standard deviations from which on an error counts linearly
+NEAR = 0.1  # depth of a point that counts, in distances from the newest camera
+HUBER = 1.345  # standard deviations from which on an error counts linearly
 _PLANE = gtsam.Cal3_S2(1, 1, 0, 0, 0)  # observations are on the plane z = 1
-_LOSS = getattr(gtsam.noiseModel.mEstimator,os.environ.get("LOSS","Huber")).Create(HUBER)
+_LOSS = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
 
 
-def line_factor(
-    pose_key: int, point_key: int, image: Array, off: float, sigma: float, line: Array, along: float
-) -> gtsam.NonlinearFactor:
-    """The factor between a camera, a Pose3 (world_from_camera), and a point of a line, a Point3.
+@dataclass(frozen=True)
+class Marks:
+    """Points in space, and where cameras saw them.
 
-    Args:
-        pose_key, point_key: of the variables.
-        image: (2,) where the point is seen about, on the plane z = 1.
-        off: distance of that from the observed line, with its standard deviation `sigma`.
-        line: (3,) coefficients of the observed line.
-        along: `HELD` or `FREE`.
+    Attributes:
+        ids: (Q,) of the points.
+        places: (Q, 3) where they are about.
+        row, view: (M,) of each observation: its point, and the number of its keyframe, ascending for each point.
+        measured: (M, 2) on the plane z = 1.
+        information, held: (M, 2, 2) square roots of the information, the latter of the view that holds the point.
     """
-    normal, direction = line[:2], np.array([line[1], -line[0]])
-    noise = gtsam.noiseModel.Gaussian.SqrtInformation(np.stack([normal / sigma, direction / along]))
-    noise = gtsam.noiseModel.Robust.Create(_LOSS, noise)
-    return gtsam.GenericProjectionFactorCal3_S2(image - off * normal, noise, pose_key, point_key, _PLANE, False, False)
+
+    ids: Ids
+    places: Array
+    row: NDArray[np.intp]
+    view: NDArray[np.intp]
+    measured: Array
+    information: Array
+    held: Array
+
+
+def line_marks(seen: Observations[Lines], places: Array, poses: Array) -> Marks:
+    """Two marks for each line, of points (N, 2, 3) on it, as observed under poses (K, 3, 4)."""
+    off, variances, depth, image = across(places[seen.row], seen.seen, poses[seen.view])
+    normal = seen.seen.lines[:, :2]
+    along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    far = np.linalg.norm(places - poses[-1][:, 3], axis=2)[seen.row]
+    end, k = np.nonzero((depth > NEAR * far).T)
+    rows = [np.stack([normal[k] / np.sqrt(variances[k, end])[:, None], along[k] / s], axis=1) for s in (FREE, HELD)]
+    ids = np.concatenate([2 * seen.ids, 2 * seen.ids + 1])
+    flat = places.transpose(1, 0, 2).reshape(-1, 3)
+    measured = image[k, end] - off[k, end, None] * normal[k]
+    return Marks(ids, flat, seen.row[k] + end * len(seen.ids), seen.view[k], measured, *rows)
+
+
+def point_marks(seen: Observations[Points], places: Array) -> Marks:
+    """A mark for each point (N, 3); their ids are negative."""
+    information = np.tile(np.eye(2) / POINT_ERROR, (len(seen.row), 1, 1))
+    return Marks(-1 - seen.ids, places, seen.row, seen.view, seen.seen.places, information, information)
+
+
+def factor(measured: Array, information: Array, pose_key: int, point_key: int) -> gtsam.NonlinearFactor:
+    """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`."""
+    noise = gtsam.noiseModel.Robust.Create(_LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information))
+    return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False)

@@ -1,4 +1,4 @@
-"""Lines in space from their images under known poses, and how well they are known.
+"""Lines and points in space from their images under known poses, and how well they are known.
 
 A line in space is two points on it. An observation spans a plane through the camera's centre, and a point of the line
 lies in all of them: weighted by how sure the observation is there, that is a linear problem for each point.
@@ -12,22 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from line_odometry.views import TINY, Array, Ids, Observations, View, gather
+from line_odometry.views import TINY, Array, Ids, Lines, Observations, Points, gather
 
 ALONG = 1e-4  # weight of a point's place along its line, which no observation tells, over that across
 HUBER = 2.0  # standard deviations
 STEPS = 4
+POINT_ERROR = 5e-4  # of an observed point, on the plane z = 1
 PART_VIEWS = 3  # views that a part of a line must have been seen in
 MAP_VIEWS, MAP_RMS, MAP_SPREAD = 5, 1.0, 0.004  # of a line in a map: at least, px, and 4 mm of its worse end at a metre
 
 
 @dataclass(frozen=True)
 class Triangulated:
-    """Lines and what can be said of them. Row k of every array is line k.
+    """Lines, or points, and what can be said of them. Row k of every array is track k.
 
     Attributes:
-        ends: (N, 2, 3) what at least `PART_VIEWS` views saw of it.
-        rms: (N,) distance of the observations from its image, on the plane z = 1.
+        ends: (N, 2, 3) of lines, what at least `PART_VIEWS` views saw of them; (N, 1, 3) points.
+        rms: (N,) distance of the observations from their images, on the plane z = 1.
         spread: (N,) standard deviation of the worse end across the line, as share of its distance from the cameras.
         ahead: (N,) whether it lies before all cameras that saw it.
     """
@@ -38,7 +39,7 @@ class Triangulated:
     ahead: NDArray[np.bool_]
 
 
-def map_lines(views: Sequence[View], poses: Array, focal: float) -> tuple[Ids, Array]:
+def map_lines(views: Sequence[Lines], poses: Array, focal: float) -> tuple[Ids, Array]:
     """Tracks (N,) and end points in space (N, 2, 3) of the lines that views agree on from poses (K, 3, 4)."""
     seen = gather(views, MAP_VIEWS)
     found = triangulate(seen, poses)
@@ -46,36 +47,57 @@ def map_lines(views: Sequence[View], poses: Array, focal: float) -> tuple[Ids, A
     return seen.ids[good], found.ends[good]
 
 
-def triangulate(seen: Observations, poses: Array) -> Triangulated:
+def triangulate(seen: Observations[Lines], poses: Array) -> Triangulated:
     """Lines that fit what was seen of them in two views or more, under poses (K, 3, 4) world_from_camera."""
-    own = poses[seen.view]
-    planes = np.einsum("mij,mj->mi", own[:, :, :3], seen.lines)  # (M, 3) normals in the world
-    middle = seen.sums(own[:, :, 3]) / np.maximum(seen.counts, 1)[:, None]
+    own, counts = poses[seen.view], np.maximum(seen.counts, 1)
+    planes = np.einsum("mij,mj->mi", own[:, :, :3], seen.seen.lines)  # (M, 3) normals in the world
+    middle = seen.sums(own[:, :, 3]) / counts[:, None]
     ends = _reach(seen, *_meet(seen, planes, own[:, :, 3], middle), own)
+    along = ends[:, 1] - ends[:, 0]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
+    held = along[:, :, None] * along[:, None]
     for _ in range(STEPS):
-        off, variances, depth, _ = across(ends[seen.line], seen, own)
+        off, variances, depth, _ = across(ends[seen.row], seen.seen, own)
         size = np.abs(off) / np.sqrt(variances)
         weight = np.minimum(1, HUBER / np.maximum(size, TINY)) / (variances * depth**2)
-        along = ends[:, 1] - ends[:, 0]
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
-        hessian = seen.sums(weight[:, :, None, None] * (planes[:, :, None] * planes[:, None, :])[:, None])
-        gauge = ALONG * np.einsum("nkii->nk", hessian)[:, :, None, None] * (along[:, :, None] * along[:, None])[:, None]
-        hessian += gauge + 1e-9 * np.einsum("nkii->nk", hessian)[:, :, None, None] * np.eye(3) + 1e-30 * np.eye(3)
+        hessian = seen.sums(weight[:, :, None, None] * (planes[:, :, None] * planes[:, None])[:, None])
+        total = np.einsum("nkii->nk", hessian)[:, :, None, None]
+        hessian += total * (ALONG * held[:, None] + 1e-9 * np.eye(3)) + 1e-30 * np.eye(3)
         gradient = seen.sums((weight * off * depth)[:, :, None] * planes[:, None])
         ends = ends - np.linalg.solve(hessian, gradient[:, :, :, None])[:, :, :, 0]
-    off, variances, depth, _ = across(ends[seen.line], seen, own)
-    counts = np.maximum(seen.counts, 1)
+    off, variances, depth, _ = across(ends[seen.row], seen.seen, own)
     surprise = np.maximum(1, seen.sums((off**2 / variances).mean(axis=1)) / counts)
-    covariance = np.linalg.inv(hessian)
-    sideways = np.eye(3) - along[:, :, None] * along[:, None]
-    spread = np.sqrt(surprise[:, None] * np.einsum("nij,nkji->nk", sideways, covariance)).max(axis=1)
+    sideways = np.einsum("nij,nkji->nk", np.eye(3) - held, np.linalg.inv(hessian))
+    spread = np.sqrt(surprise[:, None] * sideways).max(axis=1)
+    return _judged(seen, ends, off, spread, depth, middle)
+
+
+def triangulate_points(seen: Observations[Points], poses: Array) -> Triangulated:
+    """Points where the rays of two views or more come nearest to each other, under poses (K, 3, 4)."""
+    own = poses[seen.view]
+    rays = np.einsum("mij,mj->mi", own[:, :, :2], seen.seen.places) + own[:, :, 2]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    beside = np.eye(3) - rays[:, :, None] * rays[:, None]
+    hessian = seen.sums(beside) + 1e-9 * np.eye(3)
+    points = np.linalg.solve(hessian, seen.sums(beside @ own[:, :, 3:]))[:, :, 0]
+    local = np.einsum("mi,mij->mj", points[seen.row] - own[:, :, 3], own[:, :, :3])
+    off = np.linalg.norm(local[:, :2] / local[:, 2:] - seen.seen.places, axis=1, keepdims=True)
+    middle = seen.sums(own[:, :, 3]) / np.maximum(seen.counts, 1)[:, None]
+    far = np.linalg.norm(points - middle, axis=1)
+    spread = POINT_ERROR * far * np.sqrt(np.einsum("nii->n", np.linalg.inv(hessian)))
+    return _judged(seen, points[:, None], off, spread, local[:, 2:], middle)
+
+
+def _judged(
+    seen: Observations[Lines] | Observations[Points], ends: Array, off: Array, spread: Array, depth: Array, middle: Array
+) -> Triangulated:
     far = np.linalg.norm(ends - middle[:, None], axis=2).max(axis=1)
+    rms = np.sqrt(seen.sums((off**2).mean(axis=1)) / np.maximum(seen.counts, 1))
     ahead = np.minimum.reduceat(depth.min(axis=1), seen.starts) > 0 if len(ends) else np.zeros(0, np.bool_)
-    rms = np.sqrt(seen.sums((off**2).mean(axis=1)) / counts)
     return Triangulated(ends, rms, spread / np.maximum(far, TINY), ahead)
 
 
-def across(points: Array, seen: View | Observations, poses: Array) -> tuple[Array, Array, Array, Array]:
+def across(points: Array, seen: Lines, poses: Array) -> tuple[Array, Array, Array, Array]:
     """How far points (M, 2, 3) are from the lines that were observed under poses (M, 3, 4).
 
     Returns:
@@ -91,11 +113,11 @@ def across(points: Array, seen: View | Observations, poses: Array) -> tuple[Arra
     return off, seen.variances[:, :1] + beside**2 * seen.variances[:, 1:], depth, image
 
 
-def _meet(seen: Observations, planes: Array, centres: Array, middle: Array) -> tuple[Array, Array]:
+def _meet(seen: Observations[Lines], planes: Array, centres: Array, middle: Array) -> tuple[Array, Array]:
     """(N, 3) points and unit directions of the lines in which planes meet (Hartley and Zisserman 2004, 12.7)."""
-    centres = centres - middle[seen.line]
+    centres = centres - middle[seen.row]
     unit = np.sqrt(seen.sums((centres**2).sum(axis=1)) / np.maximum(seen.counts, 1)) + TINY
-    flat = np.column_stack([planes, -(planes * centres).sum(axis=1) / unit[seen.line]])
+    flat = np.column_stack([planes, -(planes * centres).sum(axis=1) / unit[seen.row]])
     flat /= np.linalg.norm(planes, axis=1, keepdims=True)
     two = np.linalg.eigh(seen.sums(flat[:, :, None] * flat[:, None]))[1][:, :, 2:]
     (n, m), (a, b) = np.moveaxis(two[:, :3], 2, 0), np.moveaxis(two[:, 3:], 2, 0)
@@ -106,11 +128,11 @@ def _meet(seen: Observations, planes: Array, centres: Array, middle: Array) -> t
     return points * unit[:, None] + middle, np.where(alone, (1.0, 0.0, 0.0), directions / size)
 
 
-def _reach(seen: Observations, points: Array, directions: Array, poses: Array) -> Array:
+def _reach(seen: Observations[Lines], points: Array, directions: Array, poses: Array) -> Array:
     """(N, 2, 3) first and last point of lines that `PART_VIEWS` views saw, where lines come nearest to their rays."""
-    rays = np.einsum("mij,mkj->mki", poses[:, :, :2], seen.ends) + poses[:, None, :, 2]
+    rays = np.einsum("mij,mkj->mki", poses[:, :, :2], seen.seen.ends) + poses[:, None, :, 2]
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    along, away = directions[seen.line][:, None], (points[seen.line] - poses[:, :, 3])[:, None]
+    along, away = directions[seen.row][:, None], (points[seen.row] - poses[:, :, 3])[:, None]
     cosine = (along * rays).sum(axis=2)
     places = (cosine * (rays * away).sum(axis=2) - (along * away).sum(axis=2)) / np.maximum(1 - cosine**2, TINY)
     low, high = np.sort(places, axis=1).T

@@ -1,10 +1,11 @@
-"""What cameras saw of tracked lines."""
+"""What cameras saw of tracked lines, and of points beside them, on the plane z = 1 without the lens."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,12 @@ TINY = 1e-12
 
 
 @dataclass(frozen=True)
-class View:
-    """The lines of one frame, on the plane z = 1 without the lens.
+class Lines:
+    """Observed lines.
 
     Attributes:
         ids: (N,) tracks; one may be there twice, as pieces of a broken line.
-        ends: (N, 2, 2) end points as observed.
+        ends: (N, 2, 2) end points.
         lines: (N, 3) a, b, c: a u + b v + c is the distance of (u, v) from the line.
         variances: (N, 2) of the line's offset at its middle, and of its angle, radians.
     """
@@ -32,6 +33,22 @@ class View:
     lines: Array
     variances: Array
 
+
+@dataclass(frozen=True)
+class Points:
+    """Observed points: (P,) tracks, and (P, 2) where they are."""
+
+    ids: Ids
+    places: Array
+
+
+@dataclass(frozen=True)
+class View:
+    """What one frame saw."""
+
+    lines: Lines
+    points: Points
+
     @staticmethod
     def of(tracks: LineTracks) -> View:
         """What the frontend says of a frame whose camera is known; a piece of a broken line is that line.
@@ -39,63 +56,69 @@ class View:
         Raises:
             ValueError: no camera.
         """
-        if tracks.observed_normalized is None:
+        ends, lines = tracks.observed_normalized, tracks.observed_lines
+        covariances, points = tracks.observed_line_covariances, tracks.points_normalized
+        if ends is None or lines is None or covariances is None or points is None:
             raise ValueError("odometry needs a camera: give the source a calibration")
-        covariances = tracks.observed_line_covariances
-        known = np.isfinite(tracks.observed_normalized).all(axis=(1, 2)) & np.isfinite(covariances).all(axis=(1, 2))
         ids = np.where(tracks.fragment_of >= 0, tracks.fragment_of, tracks.ids)
-        arrays = tracks.observed_normalized, tracks.observed_lines, np.einsum("nii->ni", covariances)
-        return View(ids[known], *(np.float64(values[known]) for values in arrays))
+        seen = Lines(ids, *(np.float64(values) for values in (ends, lines, np.einsum("nii->ni", covariances))))
+        known = np.isfinite(seen.ends).all(axis=(1, 2)) & np.isfinite(seen.variances).all(axis=1)
+        there = np.isfinite(points).all(axis=1)
+        return View(take(seen, known), take(Points(tracks.point_ids, np.float64(points)), there))
 
-    def __len__(self) -> int:
-        return len(self.ids)
+
+Seen = TypeVar("Seen", Lines, Points)
 
 
 @dataclass(frozen=True)
-class Observations:
-    """Lines in several views, ordered by their line.
+class Observations(Generic[Seen]):
+    """Lines, or points, in several views, ordered by their track.
 
     Attributes:
-        ids: (N,) tracks, ascending; row k is line k.
-        line: (M,) row of each observation's line, ascending.
-        view: (M,) row of its view.
-        ends, lines, variances: (M, ...) as in `View`.
+        ids: (N,) tracks, ascending; row k is track k.
+        row: (M,) that of each observation's track, ascending.
+        view: (M,) number of its view.
+        seen: the M observations.
     """
 
     ids: Ids
-    line: NDArray[np.intp]
+    row: NDArray[np.intp]
     view: NDArray[np.intp]
-    ends: Array
-    lines: Array
-    variances: Array
+    seen: Seen
 
     @cached_property
     def starts(self) -> NDArray[np.intp]:
-        """(N,) first observation of each line."""
-        return np.searchsorted(self.line, np.arange(len(self.ids)))
+        """(N,) first observation of each track."""
+        return np.searchsorted(self.row, np.arange(len(self.ids)))
 
     @cached_property
     def counts(self) -> NDArray[np.intp]:
-        """(N,) number of observations of each line."""
-        return np.bincount(self.line, minlength=len(self.ids))
+        """(N,) number of observations of each track."""
+        return np.bincount(self.row, minlength=len(self.ids))
 
     def sums(self, values: Array) -> Array:
-        """(N, ...) sums over each line's observations of values (M, ...)."""
+        """(N, ...) sums over each track's observations of values (M, ...)."""
         return np.add.reduceat(values, self.starts) if len(self.ids) else np.zeros((0, *values.shape[1:]))
 
-    def only(self, keep: NDArray[np.bool_]) -> Observations:
-        """The observations of the lines (N,) to keep."""
-        rows = np.flatnonzero(keep[self.line])
-        arrays = {name: getattr(self, name)[rows] for name in ("view", "ends", "lines", "variances")}
-        return replace(self, ids=self.ids[keep], line=(np.cumsum(keep) - 1)[self.line[rows]], **arrays)
+    def only(self, keep: NDArray[np.bool_]) -> Observations[Seen]:
+        """The observations of the tracks (N,) to keep."""
+        rows = np.flatnonzero(keep[self.row])
+        return Observations(
+            self.ids[keep], (np.cumsum(keep) - 1)[self.row[rows]], self.view[rows], take(self.seen, rows)
+        )
 
 
-def gather(views: Sequence[View], least: int, ids: Ids | None = None) -> Observations:
-    """The lines that were observed at least so many times, of all tracks or of the given ones."""
-    tracks = np.concatenate([view.ids for view in views])
-    place = np.repeat(np.arange(len(views)), [len(view) for view in views])
-    wanted = np.flatnonzero(np.isin(tracks, ids)) if ids is not None else np.arange(len(tracks))
-    order = wanted[np.argsort(tracks[wanted], kind="stable")]
-    found, line, counts = np.unique(tracks[order], return_inverse=True, return_counts=True)
-    arrays = (np.concatenate([getattr(view, name) for view in views])[order] for name in ("ends", "lines", "variances"))
-    return Observations(found, line, place[order], *arrays).only(counts >= least)
+def gather(views: Sequence[Seen], least: int, ids: Ids | None = None) -> Observations[Seen]:
+    """What was observed at least so many times, of all tracks or of the given ones."""
+    names = [field.name for field in fields(views[0])]
+    every = type(views[0])(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
+    place = np.repeat(np.arange(len(views)), [len(view.ids) for view in views])
+    wanted = np.flatnonzero(np.isin(every.ids, ids)) if ids is not None else np.arange(len(every.ids))
+    order = wanted[np.argsort(every.ids[wanted], kind="stable")]
+    found, row, counts = np.unique(every.ids[order], return_inverse=True, return_counts=True)
+    return Observations(found, row, place[order], take(every, order)).only(counts >= least)
+
+
+def take(seen: Seen, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Seen:
+    """Some of the lines or points."""
+    return type(seen)(*(getattr(seen, field.name)[rows] for field in fields(seen)))
