@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,18 +13,22 @@ from airline import LineSet
 from airline.evaluation.benchmark import lsd
 from airline.scenes import RenderedClip, RenderedView, render_clip
 from airline.scenes.clip import build_scene
-from frontend import Frame, LineFrontend
+from frontend import Frame, LineFrontend, LineTracks
 from frontend.evaluation.baselines import NearestTracker
 from frontend.evaluation.posed import PosedClip
 from frontend.sources.scene import frame_of
-from line_odometry.geometry import Array, homogeneous
+from frontend.tracker import LineTracker
+from frontend.tracking.config import TrackerConfig
+from frontend.tracks import FIELDS, TrackState
 from line_odometry.score import TrueLines
-from line_odometry.views import View
+from line_odometry.views import Array
 
 OURS, FUSED, TRUE_LINES, LSD = "AirLine", "AirLine, fused lines", "true lines", "LSD and nearest"
+END_ERROR = 0.3  # px, of the ends of lines that come without covariances
+PERIOD_NS = 100_000_000  # of a clip that is turned round or cut: its own times would go backwards
 
 
-@dataclass(frozen=True)
+@dataclass
 class Seen:
     """A clip as the frontends see it.
 
@@ -32,48 +36,92 @@ class Seen:
         focal: px.
         axes: where right, down or up, and forward are in the world, as Rerun writes it.
         poses: (N, 3, 4) the true world_from_camera.
-        views: what each frontend saw, by its name.
+        tracks: what each frontend saw, by its name; all have the flow points of ours.
         lines: the true lines, where they are known.
     """
 
     focal: float
     axes: str
     poses: Array
-    views: dict[str, list[View]]
+    tracks: dict[str, list[LineTracks]]
     lines: TrueLines | None = None
 
 
-def built_in(frames: int, names: list[str]) -> Seen:
-    """The first frames of the built-in clip."""
-    sequence = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=frames)
-    frontends = _frontends(names)
-    views: dict[str, list[View]] = {name: [] for name in names}
+@dataclass
+class Frontends:
+    """The frontends by their names, and what they saw so far."""
+
+    names: list[str]
+    max_lines: int = 0
+    tracks: dict[str, list[LineTracks]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        config = TrackerConfig(points=True, max_lines=self.max_lines)
+        self._ours = LineFrontend(tracker=LineTracker(config))
+        self._detect, self._nearest, self._hits = lsd(), NearestTracker(), dict[int, int]()
+        self.tracks = {name: [] for name in self.names}
+
+    def look(self, frame: Frame, rendered: RenderedView | None = None) -> None:
+        """Take the next frame."""
+        ours = self._ours.process(frame).tracks
+        saw: dict[str, Callable[[], LineTracks]] = {
+            OURS: lambda: ours,
+            FUSED: lambda: replace(ours, observed_px=ours.segments_px, observed_covariances=ours.covariances),
+            LSD: lambda: self._lsd(frame, ours),
+        }
+        if rendered is not None:
+            saw[TRUE_LINES] = lambda: tracked(ours, rendered.ids, rendered.segments_px, np.full(len(rendered.ids), 3))
+        for name, tracks in self.tracks.items():
+            tracks.append(saw[name]())
+
+    def _lsd(self, frame: Frame, ours: LineTracks) -> LineTracks:
+        found = self._detect(frame.gray)
+        lines = LineSet(found, np.ones(len(found), np.float32), np.zeros((len(found), 0), np.float32))
+        seen = self._nearest.update(frame, lines)
+        for track in seen.ids.tolist():
+            self._hits[track] = self._hits.get(track, 0) + 1
+        hits = np.array([self._hits[track] for track in seen.ids.tolist()])
+        return tracked(ours, seen.ids, found[seen.line_indices], hits)
+
+
+def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.ndarray) -> LineTracks:
+    """Lines of others, in px, with the frame and the points of ours; of a line in pieces the longest one."""
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    order = np.lexsort((-lengths, ids))
+    order = order[np.unique(ids[order], return_index=True)[1]]
+    seen = [one for one in FIELDS if one.rows == "seen"]
+    shapes = {one.name: [0 if size < 0 else size for size in one.shape] for one in seen}
+    arrays: dict[str, Any] = {one.name: np.zeros((len(order), *shapes[one.name]), one.dtype) for one in seen}
+    arrays |= {"ids": ids[order].astype(np.int64), "hits": hits[order].astype(np.int32)}
+    arrays |= {"segments_px": segments[order], "observed_px": segments[order], "fragment_of": np.full(len(order), -1)}
+    arrays["states"][hits[order] >= 3] = TrackState.CONFIRMED
+    arrays["covariances"][:, 0, 0] = END_ERROR**2 / 2
+    arrays["covariances"][:, 1, 1] = 2 * (END_ERROR / np.maximum(lengths[order], 1)) ** 2
+    arrays["observed_covariances"] = arrays["covariances"]
+    return replace(ours, **arrays, earlier=())
+
+
+def rendered(clip: RenderedClip, names: list[str], max_lines: int = 0) -> Seen:
+    """A rendered clip, with its true lines."""
+    frontends = Frontends(names, max_lines)
     poses, depths, pieces = [], [], []
-    for index, rendered in enumerate(render_clip(sequence)):
-        frame = frame_of(index, rendered)
-        for name, look in frontends.items():
-            views[name].append(look(frame))
-        if TRUE_LINES in views:
-            views[TRUE_LINES].append(_truth(frame, rendered))
-        poses.append(rendered.pose[:3])
-        depths.append(np.median(rendered.depth))
-        pieces.append((rendered.ids, rendered.segments_world))
+    for index, view in enumerate(render_clip(clip)):
+        frontends.look(frame_of(index, view), view)
+        poses.append(view.pose[:3])
+        depths.append(np.median(view.depth))
+        pieces.append((view.ids, view.segments_world))
     visible = merged(np.concatenate([ids for ids, _ in pieces]), np.concatenate([ends for _, ends in pieces]))
-    every = np.concatenate([build_scene(sequence.kind, sequence.seed).lines, visible])
-    return Seen(sequence.K[0, 0], "RFU", np.array(poses), views, TrueLines(visible, every, float(np.median(depths))))
+    every = np.concatenate([build_scene(clip.kind, clip.seed).lines, visible])
+    lines = TrueLines(visible, every, float(np.median(depths)))
+    return Seen(clip.K[0, 0], "RFU", np.array(poses), frontends.tracks, lines)
 
 
-def posed(folder: Path, frames: int | None, names: list[str]) -> Seen:
-    """A folder with images, calibration and poses, as KITTI's odometry sequences are handed around; InputError."""
-    clip = PosedClip(folder)
-    frontends = _frontends(names)
-    views: dict[str, list[View]] = {name: [] for name in frontends}
-    for frame in clip:
-        if frames is not None and frame.index >= frames:
-            break
-        for name, look in frontends.items():
-            views[name].append(look(frame))
-    return Seen(clip.K[0, 0], "RDF", clip.poses[:frames], views)
+def posed(folder: Path, part: slice, names: list[str], max_lines: int = 0) -> Seen:
+    """Some frames of a folder with images, calibration and poses, as KITTI's sequences are handed around; InputError."""
+    clip, frontends = PosedClip(folder), Frontends(names, max_lines)
+    for index, frame in enumerate(list(clip)[part]):
+        frontends.look(Frame(index, index * PERIOD_NS, frame.image, frame.camera))
+    return Seen(clip.K[0, 0], "RDF", clip.poses[part], frontends.tracks)
 
 
 def merged(ids: np.ndarray, ends: Array) -> Array:
@@ -91,38 +139,3 @@ def _union(pieces: Array) -> Iterator[Array]:
     first = np.flatnonzero(np.append(True, low[1:] > reached[:-1]))
     for start, end in zip(low[first], reached[np.append(first[1:], len(low)) - 1], strict=True):
         yield np.stack([origin + start * along, origin + end * along])
-
-
-def _frontends(names: list[str]) -> dict[str, Callable[[Frame], View]]:
-    makers: dict[str, Callable[[], Callable[[Frame], View]]] = {
-        OURS: partial(_ours, "observed_px"),
-        FUSED: partial(_ours, "segments_px"),
-        LSD: _lsd_and_nearest,
-    }
-    return {name: makers[name]() for name in names if name in makers}
-
-
-def _ours(lines: str) -> Callable[[Frame], View]:
-    frontend = LineFrontend()
-    return lambda frame: View.of(frontend.process(frame).tracks, lines)
-
-
-def _lsd_and_nearest() -> Callable[[Frame], View]:
-    detect, tracker = lsd(), NearestTracker()
-
-    def look(frame: Frame) -> View:
-        found = detect(frame.gray)
-        lines = LineSet(found, np.ones(len(found), np.float32), np.zeros((len(found), 0), np.float32))
-        tracked = tracker.update(frame, lines)
-        return _view(frame, tracked.ids, found[tracked.line_indices])
-
-    return look
-
-
-def _truth(frame: Frame, rendered: RenderedView) -> View:
-    return _view(frame, rendered.ids, rendered.segments_px)
-
-
-def _view(frame: Frame, ids: np.ndarray, segments: np.ndarray) -> View:
-    assert frame.camera is not None
-    return View(ids, homogeneous(frame.camera.normalize(segments)))

@@ -1,9 +1,4 @@
-"""Camera poses from lines of the map: RANSAC by PoseLib (P3L and kin), and the pose that fits all of them best.
-
-The image of the line through A and B from a pose (R, c) is l = R^T ((A - c) x (B - c)), and an observed point q on the
-plane z = 1 is q . l / |(l_0, l_1)| away from it. Sum and difference of these distances at both observed ends are the
-offset and the angle of which the frontend tells the variances.
-"""
+"""Camera poses from the map: RANSAC by PoseLib (P3L and kin), and the pose that fits everything best."""
 
 from __future__ import annotations
 
@@ -11,6 +6,7 @@ import cv2
 import numpy as np
 import poselib
 
+from line_odometry.images import line_errors
 from line_odometry.triangulation import POINT_ERROR
 from line_odometry.views import TINY, Array, Lines, Points
 
@@ -73,14 +69,7 @@ def errors_at(pose: Array, lines: Lines, ends: Array, points: Points, places: Ar
     These are by a turn of the camera and a shift of its centre, both in its own axes.
     """
     a, b = np.moveaxis((ends - pose[:3, 3]) @ pose[:3, :3], 1, 0)
-    images = np.cross(a, b)
-    size = np.hypot(images[:, 0], images[:, 1])[:, None] + TINY
-    first, last = np.moveaxis(np.concatenate([lines.ends, np.ones((len(ends), 2, 1))], axis=2), 1, 0)
-    length = np.linalg.norm(last - first, axis=1, keepdims=True)
-    probes = np.stack([(first + last) / 2, (last - first) / length], axis=1) / np.sqrt(lines.variances)[:, :, None]
-    errors = (probes @ images[:, :, None])[:, :, 0] / size
-    by_image = probes / size[:, :, None]
-    by_image[:, :, :2] -= errors[:, :, None] * (images[:, None, :2] / size[:, None] ** 2)
+    errors, by_image, images = line_errors(lines, a, b)
     slopes = np.concatenate([np.cross(by_image, images[:, None]), np.cross(by_image, (b - a)[:, None])], axis=2)
 
     local = (places - pose[:3, 3]) @ pose[:3, :3]

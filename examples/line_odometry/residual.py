@@ -19,8 +19,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from line_odometry.triangulation import POINT_ERROR, across
-from line_odometry.views import Array, Ids, Lines, Observations, Points
+from line_odometry.triangulation import POINT_ERROR
+from line_odometry.views import TINY, Array, Ids, Lines, Observations, Points
 
 HELD, FREE = 0.05, 10.0  # standard deviations along the line, on the plane z = 1
 NEAR = 0.1  # depth of a point that counts, in distances from the newest camera
@@ -52,7 +52,7 @@ class Marks:
 
 def line_marks(seen: Observations[Lines], places: Array, poses: Array) -> Marks:
     """Two marks for each line, of points (N, 2, 3) on it, as observed under poses (K, 3, 4)."""
-    off, variances, depth, image = across(places[seen.row], seen.seen, poses[seen.view])
+    off, variances, depth, image = _across(places[seen.row], seen.seen, poses[seen.view])
     normal = seen.seen.lines[:, :2]
     along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
     far = np.linalg.norm(places - poses[-1][:, 3], axis=2)[seen.row]
@@ -72,5 +72,21 @@ def point_marks(seen: Observations[Points], places: Array) -> Marks:
 
 def factor(measured: Array, information: Array, pose_key: int, point_key: int) -> gtsam.NonlinearFactor:
     """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`."""
-    noise = gtsam.noiseModel.Robust.Create(_LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information))
+    noise = gtsam.noiseModel.Robust.Create(_LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information, False))  # smart: no minus on a diagonal
     return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False)
+
+
+def _across(points: Array, seen: Lines, poses: Array) -> tuple[Array, Array, Array, Array]:
+    """How far points (M, 2, 3) are from the lines that were observed under poses (M, 3, 4).
+
+    Returns:
+        (M, 2) distances on the plane z = 1, their variances there, depths, and (M, 2, 2) images.
+    """
+    local = np.einsum("mki,mij->mkj", points - poses[:, None, :, 3], poses[:, :, :3])
+    depth = local[:, :, 2]
+    image = local[:, :, :2] / np.where(np.abs(depth) < TINY, TINY, depth)[:, :, None]
+    a, b = seen.lines[:, None, 0], seen.lines[:, None, 1]
+    place = image - seen.ends.mean(axis=1)[:, None]
+    off = a * place[:, :, 0] + b * place[:, :, 1]
+    beside = b * place[:, :, 0] - a * place[:, :, 1]
+    return off, seen.variances[:, :1] + beside**2 * seen.variances[:, 1:], depth, image

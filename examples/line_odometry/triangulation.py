@@ -1,20 +1,21 @@
 """Lines and points in space from their images under known poses, and how well they are known.
 
-A line in space is two points on it. An observation spans a plane through the camera's centre, and a point of the line
-lies in all of them: weighted by how sure the observation is there, that is a linear problem for each point.
+A line is fitted by Gauss-Newton steps on the residual of `images`, all lines at once; two points that move across it
+are its four degrees of freedom.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from line_odometry.images import end_errors, line_errors
 from line_odometry.views import TINY, Array, Ids, Lines, Observations, Points, gather
 
-ALONG = 1e-4  # weight of a point's place along its line, which no observation tells, over that across
+APART = 0.25  # half the distance of the two points that stand for a line while it is fitted, in distances from the cameras
 HUBER = 2.0  # standard deviations
 STEPS = 4
 POINT_ERROR = 5e-4  # of an observed point, on the plane z = 1
@@ -30,7 +31,7 @@ class Triangulated:
         ends: (N, 2, 3) of lines, what at least `PART_VIEWS` views saw of them; (N, 1, 3) points.
         rms: (N,) distance of the observations from their images, on the plane z = 1.
         spread: (N,) standard deviation of the worse end across the line, as share of its distance from the cameras.
-        ahead: (N,) whether it lies before all cameras that saw it.
+        ahead: (N,) whether it lies before all cameras that saw it, and they saw the same of it.
     """
 
     ends: Array
@@ -50,26 +51,45 @@ def map_lines(views: Sequence[Lines], poses: Array, focal: float) -> tuple[Ids, 
 def triangulate(seen: Observations[Lines], poses: Array) -> Triangulated:
     """Lines that fit what was seen of them in two views or more, under poses (K, 3, 4) world_from_camera."""
     own, counts = poses[seen.view], np.maximum(seen.counts, 1)
-    planes = np.einsum("mij,mj->mi", own[:, :, :3], seen.seen.lines)  # (M, 3) normals in the world
     middle = seen.sums(own[:, :, 3]) / counts[:, None]
-    ends = _reach(seen, *_meet(seen, planes, own[:, :, 3], middle), own)
-    along = ends[:, 1] - ends[:, 0]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
-    held = along[:, :, None] * along[:, None]
+    points, along = _meet(seen, own, middle)
+    points = _reach(seen, points, along, own)[0].mean(axis=1)
+    far = np.linalg.norm(points - middle, axis=1)[:, None, None] + TINY
+    pair = points[:, None] + far * np.array([[-APART], [APART]]) * along[:, None]
     for _ in range(STEPS):
-        off, variances, depth, _ = across(ends[seen.row], seen.seen, own)
-        size = np.abs(off) / np.sqrt(variances)
-        weight = np.minimum(1, HUBER / np.maximum(size, TINY)) / (variances * depth**2)
-        hessian = seen.sums(weight[:, :, None, None] * (planes[:, :, None] * planes[:, None])[:, None])
-        total = np.einsum("nkii->nk", hessian)[:, :, None, None]
-        hessian += total * (ALONG * held[:, None] + 1e-9 * np.eye(3)) + 1e-30 * np.eye(3)
-        gradient = seen.sums((weight * off * depth)[:, :, None] * planes[:, None])
-        ends = ends - np.linalg.solve(hessian, gradient[:, :, :, None])[:, :, :, 0]
-    off, variances, depth, _ = across(ends[seen.row], seen.seen, own)
-    surprise = np.maximum(1, seen.sums((off**2 / variances).mean(axis=1)) / counts)
-    sideways = np.einsum("nij,nkji->nk", np.eye(3) - held, np.linalg.inv(hessian))
-    spread = np.sqrt(surprise[:, None] * sideways).max(axis=1)
-    return _judged(seen, ends, off, spread, depth, middle)
+        errors, slopes, across = _slopes(seen, pair, own)
+        weight = np.minimum(1, HUBER / np.maximum(np.linalg.norm(errors, axis=1), TINY))[:, None, None]
+        turned = (weight * slopes).transpose(0, 2, 1)
+        hessian = seen.sums(turned @ slopes)
+        hessian += (1e-9 * np.einsum("nii->n", hessian) + TINY)[:, None, None] * np.eye(4)
+        step = np.linalg.solve(hessian, seen.sums(turned @ errors[:, :, None]))
+        pair = pair - step.reshape(-1, 2, 2) @ across
+    errors = _slopes(seen, pair, own)[0]
+    along = pair[:, 1] - pair[:, 0]
+    size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
+    ends, overlap = _reach(seen, pair[:, 0], along / size, own)
+    share = np.linalg.norm(ends - pair[:, :1], axis=2) * np.sign(((ends - pair[:, :1]) * along[:, None]).sum(axis=2)) / size
+    parts = np.stack([1 - share, share], axis=2)  # of the pair's two points in each end
+    blocks = np.linalg.inv(hessian).reshape(-1, 2, 2, 2, 2)
+    surprise = np.maximum(1, seen.sums((errors**2).mean(axis=1)) / counts)
+    spread = np.sqrt(surprise[:, None] * np.einsum("nei,nej,nikjk->ne", parts, parts, blocks)).max(axis=1)
+    depth = np.einsum("mki,mi->mk", ends[seen.row] - own[:, None, :, 3], own[:, :, 2])
+    found = _judged(seen, ends, end_errors(seen.seen, errors), spread, depth, middle)
+    return replace(found, ahead=found.ahead & overlap)
+
+
+def _slopes(seen: Observations[Lines], pair: Array, poses: Array) -> tuple[Array, Array, Array]:
+    """(M, 2) whitened errors, (M, 2, 4) derivatives by shifts of both points across, and (N, 2, 3) these directions."""
+    along = pair[:, 1] - pair[:, 0]
+    least = np.eye(3)[np.abs(along).argmin(axis=1)]
+    one = np.cross(along, least)
+    other = np.cross(along, one)
+    across = np.stack([side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), TINY) for side in (one, other)], axis=1)
+    local = np.einsum("mki,mij->mkj", pair[seen.row] - poses[:, None, :, 3], poses[:, :, :3])
+    sides = across[seen.row] @ poses[:, :, :3]
+    errors, by_image, _ = line_errors(seen.seen, local[:, 0], local[:, 1])
+    moved = np.concatenate([np.cross(sides, local[:, 1:]), -np.cross(sides, local[:, :1])], axis=1)
+    return errors, by_image @ moved.transpose(0, 2, 1), across
 
 
 def triangulate_points(seen: Observations[Points], poses: Array) -> Triangulated:
@@ -97,25 +117,14 @@ def _judged(
     return Triangulated(ends, rms, spread / np.maximum(far, TINY), ahead)
 
 
-def across(points: Array, seen: Lines, poses: Array) -> tuple[Array, Array, Array, Array]:
-    """How far points (M, 2, 3) are from the lines that were observed under poses (M, 3, 4).
+def _meet(seen: Observations[Lines], poses: Array, middle: Array) -> tuple[Array, Array]:
+    """(N, 3) points and unit directions of lines, in which the planes of the observations meet.
 
-    Returns:
-        (M, 2) distances on the plane z = 1, their variances there, depths, and (M, 2, 2) images.
+    An observation spans a plane through the camera's centre. The two planes that say most of a line's are the largest
+    eigenvectors of the planes' moment matrix (Hartley and Zisserman 2004, 12.7).
     """
-    local = np.einsum("mki,mij->mkj", points - poses[:, None, :, 3], poses[:, :, :3])
-    depth = local[:, :, 2]
-    image = local[:, :, :2] / np.where(np.abs(depth) < TINY, TINY, depth)[:, :, None]
-    a, b = seen.lines[:, None, 0], seen.lines[:, None, 1]
-    place = image - seen.ends.mean(axis=1)[:, None]
-    off = a * place[:, :, 0] + b * place[:, :, 1]
-    beside = b * place[:, :, 0] - a * place[:, :, 1]
-    return off, seen.variances[:, :1] + beside**2 * seen.variances[:, 1:], depth, image
-
-
-def _meet(seen: Observations[Lines], planes: Array, centres: Array, middle: Array) -> tuple[Array, Array]:
-    """(N, 3) points and unit directions of the lines in which planes meet (Hartley and Zisserman 2004, 12.7)."""
-    centres = centres - middle[seen.row]
+    planes = np.einsum("mij,mj->mi", poses[:, :, :3], seen.seen.lines)
+    centres = poses[:, :, 3] - middle[seen.row]
     unit = np.sqrt(seen.sums((centres**2).sum(axis=1)) / np.maximum(seen.counts, 1)) + TINY
     flat = np.column_stack([planes, -(planes * centres).sum(axis=1) / unit[seen.row]])
     flat /= np.linalg.norm(planes, axis=1, keepdims=True)
@@ -128,8 +137,13 @@ def _meet(seen: Observations[Lines], planes: Array, centres: Array, middle: Arra
     return points * unit[:, None] + middle, np.where(alone, (1.0, 0.0, 0.0), directions / size)
 
 
-def _reach(seen: Observations[Lines], points: Array, directions: Array, poses: Array) -> Array:
-    """(N, 2, 3) first and last point of lines that `PART_VIEWS` views saw, where lines come nearest to their rays."""
+def _reach(
+    seen: Observations[Lines], points: Array, directions: Array, poses: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """(N, 2, 3) first and last point of lines that `PART_VIEWS` views saw, and whether there is anything between.
+
+    Points are where lines come nearest to the rays of the observed ends.
+    """
     rays = np.einsum("mij,mkj->mki", poses[:, :, :2], seen.seen.ends) + poses[:, None, :, 2]
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     along, away = directions[seen.row][:, None], (points[seen.row] - poses[:, :, 3])[:, None]
@@ -140,4 +154,4 @@ def _reach(seen: Observations[Lines], points: Array, directions: Array, poses: A
     for row, (start, count) in enumerate(zip(seen.starts.tolist(), seen.counts.tolist(), strict=True)):
         own, k = slice(start, start + count), min(PART_VIEWS, count) - 1
         reach[row] = np.partition(low[own], k)[k], -np.partition(-high[own], k)[k]
-    return points[:, None] + reach[:, :, None] * directions[:, None]
+    return points[:, None] + reach[:, :, None] * directions[:, None], reach[:, 0] < reach[:, 1]
