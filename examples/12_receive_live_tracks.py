@@ -2,7 +2,7 @@
 
 ADDR is what `python -m frontend.run --publish ADDR` was given; without it such a run plays the built-in clip at a
 camera's pace. Nothing of this project is imported, to show all that a receiver needs; `logs.subscribe_tracks` does the
-same with checks. docs/backends.md describes the fields.
+same with checks. docs/protocol.md describes the fields.
 """
 
 import subprocess

@@ -1,4 +1,4 @@
-// Receives tracked lines from `python -m frontend.run --publish tcp://127.0.0.1:5555`; docs/backends.md has the fields.
+// Receives tracked lines from `python -m frontend.run --publish tcp://127.0.0.1:5555`; docs/protocol.md has the fields.
 //
 //     g++ -std=c++17 -O2 receive_live_tracks.cpp -lzmq -o receive_live_tracks    # libzmq3-dev, nlohmann-json3-dev
 //     ./receive_live_tracks tcp://127.0.0.1:5555
@@ -14,7 +14,7 @@
 
 using nlohmann::json;
 
-// The values of an array, row by row. The types are those of docs/backends.md, in the byte order of this machine.
+// The values of an array, row by row. The types are those of docs/protocol.md, in the byte order of this machine.
 template <typename T>
 std::vector<T> column(const json& message, const char* name) {
     const auto& data = message.at("arrays").at(name).at("data").get_binary();

@@ -39,7 +39,7 @@ def frames_from(address):
 
 
 def frame_of(data):
-    """Type and stream of a message, and what is needed of `tracks`; docs/backends.md describes it."""
+    """Type and stream of a message, and what is needed of `tracks`; docs/protocol.md describes it."""
     try:
         message = msgpack.unpackb(data)
         if message["version"] != 1:

@@ -1,6 +1,6 @@
 """What is sent for every frame: one MessagePack map, `frontend.LineTracks` with all its fields, and back, exactly.
 
-docs/backends.md describes it for programs in other languages. Within a version fields are only added.
+docs/protocol.md describes it for programs in other languages. Within a version fields are only added.
 """
 
 from __future__ import annotations

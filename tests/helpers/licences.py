@@ -71,7 +71,7 @@ def rows() -> Iterator[tuple[str, str, str, str]]:
     seen: set[str] = set()
     for extra, requirements in wanted.items():
         found = needed(requirements)
-        for key in sorted(found.keys() - seen):
+        for key in sorted(found.keys() - seen - {PROJECT["name"]}):
             yield found[key].metadata["Name"], found[key].version, licence_of(found[key]), extra
         seen |= found.keys()
 

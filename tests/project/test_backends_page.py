@@ -1,4 +1,4 @@
-"""docs/backends.md has the tables of the code, and the ROS 2 node makes the messages of PL-VINS's file."""
+"""docs/protocol.md has the tables of the code, and the ROS 2 node makes the messages of PL-VINS's file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.helpers.made_tracks import FISHEYE, clip_results, made_tracks, result
 from tests.helpers.plvins import TOPIC, clouds_of, read_bag
 from tests.helpers.ros2 import NODE, Node, load_node
 
-PAGE = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from tests.helpers.pages import ROOT
 def declared() -> set[str]:
     extras = licences.PROJECT["optional-dependencies"]
     texts = [*licences.PROJECT["dependencies"], *(text for extra in licences.EXTRAS for text in extras[extra])]
-    return {licences.key_of(re.split(r"[^\w.-]", text)[0]) for text in texts}
+    return {licences.key_of(re.split(r"[^\w.-]", text)[0]) for text in texts} - {licences.PROJECT["name"]}
 
 
 def brought_along() -> set[str]:
