@@ -24,7 +24,7 @@ from line_odometry.score import TrueLines
 from line_odometry.views import Array
 
 OURS, FUSED, TRUE_LINES, LSD = "AirLine", "AirLine, fused lines", "true lines", "LSD and nearest"
-END_ERROR = 0.3  # px, of the ends of lines that come without covariances
+END_ERROR, TRUE_ERROR = 0.3, 0.1  # px, of the ends of lines that come without covariances: LSD's, and true ones
 PERIOD_NS = 100_000_000  # of a clip that is turned round or cut: its own times would go backwards
 
 
@@ -70,7 +70,9 @@ class Frontends:
             LSD: lambda: self._lsd(frame, ours),
         }
         if rendered is not None:
-            saw[TRUE_LINES] = lambda: tracked(ours, rendered.ids, rendered.segments_px, np.full(len(rendered.ids), 3))
+            saw[TRUE_LINES] = lambda: tracked(
+                ours, rendered.ids, rendered.segments_px, np.full(len(rendered.ids), 3), TRUE_ERROR
+            )
         for name, tracks in self.tracks.items():
             tracks.append(saw[name]())
 
@@ -81,10 +83,10 @@ class Frontends:
         for track in seen.ids.tolist():
             self._hits[track] = self._hits.get(track, 0) + 1
         hits = np.array([self._hits[track] for track in seen.ids.tolist()])
-        return tracked(ours, seen.ids, found[seen.line_indices], hits)
+        return tracked(ours, seen.ids, found[seen.line_indices], hits, END_ERROR)
 
 
-def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.ndarray) -> LineTracks:
+def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.ndarray, error: float) -> LineTracks:
     """Lines of others, in px, with the frame and the points of ours; of a line in pieces the longest one."""
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     order = np.lexsort((-lengths, ids))
@@ -95,8 +97,8 @@ def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.nd
     arrays |= {"ids": ids[order].astype(np.int64), "hits": hits[order].astype(np.int32)}
     arrays |= {"segments_px": segments[order], "observed_px": segments[order], "fragment_of": np.full(len(order), -1)}
     arrays["states"][hits[order] >= 3] = TrackState.CONFIRMED
-    arrays["covariances"][:, 0, 0] = END_ERROR**2 / 2
-    arrays["covariances"][:, 1, 1] = 2 * (END_ERROR / np.maximum(lengths[order], 1)) ** 2
+    arrays["covariances"][:, 0, 0] = error**2 / 2
+    arrays["covariances"][:, 1, 1] = 2 * (error / np.maximum(lengths[order], 1)) ** 2
     arrays["observed_covariances"] = arrays["covariances"]
     return replace(ours, **arrays, earlier=())
 
@@ -117,7 +119,7 @@ def rendered(clip: RenderedClip, names: list[str], max_lines: int = 0) -> Seen:
 
 
 def posed(folder: Path, part: slice, names: list[str], max_lines: int = 0) -> Seen:
-    """Some frames of a folder with images, calibration and poses, as KITTI's sequences are handed around; InputError."""
+    """Some frames of a folder with images, calibration and poses, as KITTI's are handed around; InputError."""
     clip, frontends = PosedClip(folder), Frontends(names, max_lines)
     for index, frame in enumerate(list(clip)[part]):
         frontends.look(Frame(index, index * PERIOD_NS, frame.image, frame.camera))

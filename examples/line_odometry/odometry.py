@@ -12,7 +12,7 @@ not stay one line in space leave the map. Where nothing in view is in the map fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from frontend import LineTracks
 from frontend.start import start
 from line_odometry.pose import pose_from_map
-from line_odometry.residual import line_marks, point_marks
+from line_odometry.residual import line_ids, line_marks, point_marks
 from line_odometry.smoother import LAG, Smoother
 from line_odometry.triangulation import Triangulated, triangulate, triangulate_points
 from line_odometry.views import Array, Ids, View, gather, take
@@ -29,9 +29,12 @@ KEYFRAME_EVERY = 4  # frames, at most
 KEYFRAME_SEEN = 0.7  # of the map's lines in the last keyframe still in view; with fewer, a new keyframe comes sooner
 LEAST_VIEWS = 3  # of a line in the map
 MAX_RMS = 1.0  # px
-USABLE = 0.03  # spread (see `Triangulated`) of what is smoothed: GTSAM's Cholesky takes depths that are not known for none
+USABLE = (
+    0.03  # spread (see `Triangulated`) of what is smoothed: GTSAM's Cholesky takes depths that are not known for none
+)
 KNOWN = 0.02  # spread of what poses are found by
 LEAST_KNOWN = 30  # lines, in the current view, before which the best of the others help out
+MOST_SMOOTHED = 150  # lines, those known best
 LOST = 10  # frames without a pose before another map begins
 
 
@@ -97,7 +100,9 @@ class LineOdometry:
         self._views: list[View] = []
         self._keyframes: list[int] = []
         self._keyposes: list[Array] = []
-        self._places: list[tuple[int, Array]] = []  # of each view: its keyframe, by number, and its pose in that one's axes
+        self._places: list[
+            tuple[int, Array]
+        ] = []  # of each view: its keyframe, by number, and its pose in that one's axes
         self._motion = np.eye(4)  # from the frame before to the last one
 
     def add(self, tracks: LineTracks) -> None:
@@ -182,7 +187,12 @@ class LineOdometry:
         rows = np.flatnonzero(spread <= min(limit, 1.0))
         points, errors = self.points.find(view.points.ids)
         return pose_from_map(
-            take(view.lines, rows), ends[rows], take(view.points, errors < KNOWN), points[errors < KNOWN, 0], self._focal, near
+            take(view.lines, rows),
+            ends[rows],
+            take(view.points, errors < KNOWN),
+            points[errors < KNOWN, 0],
+            self._focal,
+            near,
         )
 
     def _improve(self, new: int) -> None:
@@ -190,18 +200,18 @@ class LineOdometry:
         first = max(self._oldest, len(self._keyframes) - LAG)
         views = [self._views[frame] for frame in self._keyframes[first:]]
         poses = np.array(self._keyposes[first:])[:, :3]
-        current = np.unique(np.concatenate([view.lines.ids for view in views[-new:]]))
-        lines = gather([view.lines for view in views], LEAST_VIEWS, current)
+        lines = gather([view.lines for view in views], LEAST_VIEWS, _ids([view.lines.ids for view in views[-new:]]))
         found = triangulate(lines, poses)
-        good = self._usable(found)
-        import os
-        good &= found.spread <= np.partition(np.where(good, found.spread, np.inf), min(int(os.environ.get("MOST","150")), len(good) - 1))[min(int(os.environ.get("MOST","150")), len(good) - 1)]
-        marks = [self._marks(lines.only(good), found.ends[good], poses, first)]
+        best = self._usable(found) & (np.argsort(np.argsort(found.spread)) < MOST_SMOOTHED)
+        ends = self._smoother.places(line_ids(lines.ids[best]), found.ends[best], first)
+        marks = [line_marks(lines.only(best), ends, poses)]
         if self._with_points:
-            current = np.unique(np.concatenate([view.points.ids for view in views[-new:]]))
-            points = gather([view.points for view in views], LEAST_VIEWS, current)
-            good = self._usable(triangulate_points(points, poses))
-            marks.append(point_marks(points.only(good), triangulate_points(points, poses).ends[good, 0]))
+            points = gather(
+                [view.points for view in views], LEAST_VIEWS, _ids([view.points.ids for view in views[-new:]])
+            )
+            places = triangulate_points(points, poses)
+            good = self._usable(places)
+            marks.append(point_marks(points.only(good), places.ends[good, 0]))
         try:
             poses = self._smoother.update(first, poses, marks)
         except RuntimeError:  # GTSAM's IndeterminantLinearSystemException
@@ -216,10 +226,9 @@ class LineOdometry:
             found = triangulate_points(points, poses)
             self.points = self.points.updated(points.ids, found, self._usable(found, 1.0))
 
-    def _marks(self, lines, ends, poses, first):
-        ids = np.stack([2 * lines.ids, 2 * lines.ids + 1], axis=1)
-        places = self._smoother.places(ids.ravel(), ends.reshape(-1, 3), first).reshape(-1, 2, 3)
-        return line_marks(lines, places, poses)
-
     def _usable(self, found: Triangulated, most: float = USABLE) -> NDArray[np.bool_]:
         return found.ahead & (self._focal * found.rms < MAX_RMS) & (found.spread < most)
+
+
+def _ids(tracks: list[Ids]) -> Ids:
+    return np.unique(np.concatenate(tracks))

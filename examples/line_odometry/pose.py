@@ -17,9 +17,7 @@ STEPS, HUBER = 6, 2.0  # of the last adjustment, and standard deviations from wh
 _IDEAL = {"model": "PINHOLE", "width": 1, "height": 1, "params": [1.0, 1.0, 0.0, 0.0]}  # points on the plane z = 1
 
 
-def pose_from_map(
-    lines: Lines, ends: Array, points: Points, places: Array, focal: float, near: Array
-) -> Array | None:
+def pose_from_map(lines: Lines, ends: Array, points: Points, places: Array, focal: float, near: Array) -> Array | None:
     """(4, 4) the pose from which lines and points are seen; None where they agree on none.
 
     Args:
@@ -47,7 +45,9 @@ def pose_from_map(
     turn = np.asarray(pose.R).T
     ransac = np.vstack([np.column_stack([turn, -turn @ np.asarray(pose.t)]), (0, 0, 0, 1)])
     found = [refined(one, lines, ends, points, places) for one in (near, ransac)]
-    return min(found, key=lambda one: np.minimum((errors_at(one, lines, ends, points, places)[0] ** 2).sum(axis=1), FAR).sum())
+    return min(
+        found, key=lambda one: np.minimum((errors_at(one, lines, ends, points, places)[0] ** 2).sum(axis=1), FAR).sum()
+    )
 
 
 def refined(pose: Array, lines: Lines, ends: Array, points: Points, places: Array) -> Array:
@@ -74,7 +74,9 @@ def errors_at(pose: Array, lines: Lines, ends: Array, points: Points, places: Ar
 
     local = (places - pose[:3, 3]) @ pose[:3, :3]
     image, depth = local[:, :2] / local[:, 2:], local[:, 2, None, None]
-    by_local = np.concatenate([np.tile(np.eye(2), (len(local), 1, 1)), -image[:, :, None]], axis=2) / depth / POINT_ERROR
+    by_local = (
+        np.concatenate([np.tile(np.eye(2), (len(local), 1, 1)), -image[:, :, None]], axis=2) / depth / POINT_ERROR
+    )
     off = (image - points.places) / POINT_ERROR
     off_slopes = np.concatenate([np.cross(by_local, local[:, None]), -by_local], axis=2)
     return np.concatenate([errors, off]), np.concatenate([slopes, off_slopes])

@@ -58,10 +58,16 @@ def line_marks(seen: Observations[Lines], places: Array, poses: Array) -> Marks:
     far = np.linalg.norm(places - poses[-1][:, 3], axis=2)[seen.row]
     end, k = np.nonzero((depth > NEAR * far).T)
     rows = [np.stack([normal[k] / np.sqrt(variances[k, end])[:, None], along[k] / s], axis=1) for s in (FREE, HELD)]
-    ids = np.concatenate([2 * seen.ids, 2 * seen.ids + 1])
-    flat = places.transpose(1, 0, 2).reshape(-1, 3)
     measured = image[k, end] - off[k, end, None] * normal[k]
-    return Marks(ids, flat, seen.row[k] + end * len(seen.ids), seen.view[k], measured, *rows)
+    row = 2 * seen.row[k] + end
+    order = np.argsort(row, kind="stable")
+    arrays = (values[order] for values in (row, seen.view[k], measured, *rows))
+    return Marks(line_ids(seen.ids).ravel(), places.reshape(-1, 3), *arrays)
+
+
+def line_ids(tracks: Ids) -> Ids:
+    """(N, 2) ids of the two marks of lines (N,)."""
+    return 2 * tracks[:, None] + np.arange(2)
 
 
 def point_marks(seen: Observations[Points], places: Array) -> Marks:
@@ -72,7 +78,9 @@ def point_marks(seen: Observations[Points], places: Array) -> Marks:
 
 def factor(measured: Array, information: Array, pose_key: int, point_key: int) -> gtsam.NonlinearFactor:
     """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`."""
-    noise = gtsam.noiseModel.Robust.Create(_LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information, False))  # smart: no minus on a diagonal
+    noise = gtsam.noiseModel.Robust.Create(
+        _LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information, False)
+    )  # smart: no minus on a diagonal
     return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False)
 
 

@@ -9,8 +9,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from line_odometry.clips import Seen
-from line_odometry.views import Array
 from line_odometry.score import Aligned
+from line_odometry.views import Array
 
 TRUTH, OURS, LINES = (120, 120, 120), (80, 200, 120), (90, 170, 255)
 FRUSTUM = 0.25  # of the path's extent

@@ -16,7 +16,7 @@ from line_odometry.residual import Marks, factor
 from line_odometry.views import Array, Ids
 
 LAG = 12  # keyframes
-LEAST_VIEWS = 3
+LEAST_VIEWS = 3  # of a mark
 ITERATIONS, GAIN = 4, 1e-2  # for each keyframe: most of them, and the relative gain at which they end
 FIXED = 1e-3  # standard deviation of what holds the world: the first pose, and the first distance
 VAGUE = 1.0  # of a point where it was first found, in distances from the camera
@@ -32,7 +32,7 @@ class Smoother:
         parameters.setRelativeErrorTol(GAIN)
         self._smoother = gtsam.BatchFixedLagSmoother(LAG - 0.5, parameters)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._points: dict[int, tuple[int, int]] = {}  # of a mark: number of its point, and of the keyframe before which it is gone
+        self._points: dict[int, tuple[int, int]] = {}  # of a mark: number of its point, and of its first keyframe
         self._count, self._newest, self._estimate = 0, number - 1, gtsam.Values()
         distance = float(np.linalg.norm(poses[-1][:3, 3] - poses[0][:3, 3]))
         ends, sigma = (X(number), X(number + len(poses) - 1)), gtsam.noiseModel.Isotropic.Sigma
@@ -40,12 +40,12 @@ class Smoother:
         self._graph.add(gtsam.RangeFactorPose3(*ends, distance, sigma(1, FIXED)))
 
     def places(self, ids: Ids, places: Array, first: int) -> Array:
-        """(Q, 3) where marks are that are in a window which begins with a keyframe, and the given places of the others."""
+        """(..., 3) where marks (...) are: those in the window from keyframe `first`; the others as given."""
         places = places.copy()
-        for row, mark in enumerate(ids.tolist()):
+        for at, mark in np.ndenumerate(ids):
             number, born = self._points.get(mark, (0, -1))
             if born >= first:
-                places[row] = self._estimate.atPoint3(P(number))
+                places[at] = self._estimate.atPoint3(P(number))
         return places
 
     def update(self, first: int, poses: Array, seen: Iterable[Marks]) -> Array:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from line_odometry.images import end_errors, line_errors
 from line_odometry.views import TINY, Array, Ids, Lines, Observations, Points, gather
 
-APART = 0.25  # half the distance of the two points that stand for a line while it is fitted, in distances from the cameras
+APART = (
+    0.25  # half the distance of the two points that stand for a line while it is fitted, in distances from the cameras
+)
 HUBER = 2.0  # standard deviations
 STEPS = 4
 POINT_ERROR = 5e-4  # of an observed point, on the plane z = 1
@@ -68,7 +70,9 @@ def triangulate(seen: Observations[Lines], poses: Array) -> Triangulated:
     along = pair[:, 1] - pair[:, 0]
     size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
     ends, overlap = _reach(seen, pair[:, 0], along / size, own)
-    share = np.linalg.norm(ends - pair[:, :1], axis=2) * np.sign(((ends - pair[:, :1]) * along[:, None]).sum(axis=2)) / size
+    share = (
+        np.linalg.norm(ends - pair[:, :1], axis=2) * np.sign(((ends - pair[:, :1]) * along[:, None]).sum(axis=2)) / size
+    )
     parts = np.stack([1 - share, share], axis=2)  # of the pair's two points in each end
     blocks = np.linalg.inv(hessian).reshape(-1, 2, 2, 2, 2)
     surprise = np.maximum(1, seen.sums((errors**2).mean(axis=1)) / counts)
@@ -84,7 +88,9 @@ def _slopes(seen: Observations[Lines], pair: Array, poses: Array) -> tuple[Array
     least = np.eye(3)[np.abs(along).argmin(axis=1)]
     one = np.cross(along, least)
     other = np.cross(along, one)
-    across = np.stack([side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), TINY) for side in (one, other)], axis=1)
+    across = np.stack(
+        [side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), TINY) for side in (one, other)], axis=1
+    )
     local = np.einsum("mki,mij->mkj", pair[seen.row] - poses[:, None, :, 3], poses[:, :, :3])
     sides = across[seen.row] @ poses[:, :, :3]
     errors, by_image, _ = line_errors(seen.seen, local[:, 0], local[:, 1])
@@ -109,7 +115,12 @@ def triangulate_points(seen: Observations[Points], poses: Array) -> Triangulated
 
 
 def _judged(
-    seen: Observations[Lines] | Observations[Points], ends: Array, off: Array, spread: Array, depth: Array, middle: Array
+    seen: Observations[Lines] | Observations[Points],
+    ends: Array,
+    off: Array,
+    spread: Array,
+    depth: Array,
+    middle: Array,
 ) -> Triangulated:
     far = np.linalg.norm(ends - middle[:, None], axis=2).max(axis=1)
     rms = np.sqrt(seen.sums((off**2).mean(axis=1)) / np.maximum(seen.counts, 1))

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from airline.scenes import RenderedClip
+from airline.scenes import RenderedClip, render_clip
+from frontend import LineTracks
 from frontend.sources.scene import frame_of
-from line_odometry.adjust import adjust, costs
-from line_odometry.clips import LSD, OURS, TRUE_LINES, built_in
-from line_odometry.geometry import distances, homogeneous, image_lines, move_lines, move_poses, slopes
+from line_odometry.clips import LSD, OURS, TRUE_LINES, Frontends, rendered
+from line_odometry.images import line_errors
 from line_odometry.odometry import LineOdometry
-from line_odometry.pose import pose_from_lines
+from line_odometry.pose import errors_at, pose_from_map
+from line_odometry.residual import factor, line_marks
 from line_odometry.score import TrueLines, align, mapped
-from line_odometry.triangulation import map_lines, triangulate
-from line_odometry.views import View, gather
+from line_odometry.smoother import Smoother
+from line_odometry.triangulation import _slopes, map_lines, triangulate, triangulate_points
+from line_odometry.views import Lines, Points, View, gather, take
 from tests.helpers.command import ROOT
 from tests.helpers.data_sets import write_posed
 from tests.helpers.made_tracks import made_tracks
@@ -28,6 +32,22 @@ from tests.project.test_examples import example, said
 
 FOCAL = 500.0
 KITTI = ROOT.parent / "shared" / "data" / "kitti_clip"
+SOME = settings(deadline=None, max_examples=25)
+
+
+def seen_as(ids, ends, noise_px=0.3):
+    """Lines with these end points (N, 2, 2), whose ends are off by so many pixels."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
+    lines = np.column_stack([normal, -(normal * ends.mean(axis=1)).sum(axis=1)])
+    sigma = noise_px / FOCAL
+    return Lines(ids, ends, lines, np.stack([np.full(len(ids), sigma**2 / 2), 2 * sigma**2 / length**2], axis=1))
+
+
+def project(points, pose):
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    return local[..., :2] / local[..., 2:]
 
 
 def made_world(seed: int, lines: int = 60, views: int = 6, noise_px: float = 0.0):
@@ -40,91 +60,133 @@ def made_world(seed: int, lines: int = 60, views: int = 6, noise_px: float = 0.0
     turns = Rotation.from_rotvec(rng.normal(0, 0.05, (views, 3))).as_matrix()
     centres = np.outer(np.arange(views), (0.2, 0.05, 0.08)) + rng.normal(0, 0.02, (views, 3))
     poses = np.concatenate([turns, centres[:, :, None]], axis=2)
-    seen = []
-    for pose in poses:
-        points = (segments - pose[:, 3]) @ pose[:, :3]
-        ends = points[:, :, :2] / points[:, :, 2:] + rng.normal(0, noise_px / FOCAL, (lines, 2, 2))
-        seen.append(View(np.arange(lines), homogeneous(ends)))
-    return segments, poses, seen
+    noise = [rng.normal(0, noise_px / FOCAL, (lines, 2, 2)) for _ in poses]
+    seen = [project(segments, pose) + off for pose, off in zip(poses, noise, strict=True)]
+    return segments, poses, [seen_as(np.arange(lines), ends, noise_px or 0.3) for ends in seen]
 
 
-def as_lines(segments):
-    along = segments[:, 1] - segments[:, 0]
-    return np.stack([segments[:, 0], along / np.linalg.norm(along, axis=1, keepdims=True)], axis=1)
+def distance_to(ends, segments):
+    """(N, 2) of the end points of segments to the lines through others."""
+    along = ends[:, 1:] - ends[:, :1]
+    along = along / np.linalg.norm(along, axis=2, keepdims=True)
+    away = segments - ends[:, :1]
+    return np.linalg.norm(away - (away * along).sum(axis=2, keepdims=True) * along, axis=2)
 
 
-def distance_to(lines, segments):
-    """(N, 2) of the end points of segments to lines."""
-    away = segments - lines[:, :1]
-    return np.linalg.norm(away - (away * lines[:, 1:]).sum(axis=2, keepdims=True) * lines[:, 1:], axis=2)
+def numeric(function, count, step=1e-6):
+    """Derivatives of a function of so many numbers, at zero."""
+    return np.stack([(function(step * unit) - function(-step * unit)) / (2 * step) for unit in np.eye(count)], axis=-1)
 
 
-@settings(deadline=None, max_examples=25)
+@SOME
 @given(seed=st.integers(0, 10_000))
-def test_derivatives_are_those_of_the_distances(seed):
+def test_derivatives_are_those_of_the_errors(seed):
     segments, poses, seen = made_world(seed, lines=8, views=2)
-    lines, pose, ends = as_lines(segments), np.repeat(poses[1:], 8, axis=0), seen[0].ends
-    _, by_pose, by_line = slopes(ends, lines, pose)
+    other, points = seen[1], Points(np.arange(8), seen[0].ends[:, 1])
+    pose = np.vstack([poses[0], (0, 0, 0, 1)])
 
-    def by_pose_change(change):
-        return distances(ends, image_lines(lines, move_poses(pose, change)))
+    def moved(change):
+        return pose @ gtsam.Pose3(gtsam.Rot3.Expmap(change[:3]), change[3:]).matrix()
 
-    def by_line_change(change):
-        return distances(ends, image_lines(move_lines(lines, change), pose))
+    def by_pose(change):
+        return errors_at(moved(change), other, segments, points, segments[:, 0])[0]
 
-    for off, slope in ((by_pose_change, by_pose), (by_line_change, by_line)):
-        for k, unit in enumerate(np.eye(slope.shape[2])):
-            step = np.tile(1e-6 * unit, (8, 1))
-            np.testing.assert_allclose(slope[:, :, k], (off(step) - off(-step)) / 2e-6, atol=1e-6)
+    _, slopes = errors_at(pose, other, segments, points, segments[:, 0])
+    np.testing.assert_allclose(slopes, numeric(by_pose, 6), atol=1e-3 * np.abs(slopes).max())
+
+    both = gather([seen[0], other], 2)
+    _, slopes, across = _slopes(both, segments, poses[both.view])
+
+    def by_line(change):
+        pair = (segments + change.reshape(2, 2) @ across)[both.row]
+        local = np.einsum("mki,mij->mkj", pair - poses[both.view][:, None, :, 3], poses[both.view][:, :, :3])
+        return line_errors(both.seen, local[:, 0], local[:, 1])[0]
+
+    np.testing.assert_allclose(slopes, numeric(by_line, 4), atol=1e-3 * np.abs(slopes).max())
 
 
-@settings(deadline=None, max_examples=25)
+@SOME
+@given(seed=st.integers(0, 10_000))
+def test_factors_say_how_far_a_point_is_from_the_observed_line(seed):
+    """Their errors are the distance across in standard deviations; their Jacobians are those of numbers."""
+    segments, poses, seen = made_world(seed, lines=5, views=2)
+    both = gather([seen[0], seen[1]], 2)
+    marks = line_marks(both, segments, poses)
+    for k in range(len(marks.row)):
+        place = marks.places[marks.row[k]] + (0.02, -0.03, 0.01)
+        pose = gtsam.Pose3(np.vstack([poses[marks.view[k]], (0, 0, 0, 1)]))
+        one = factor(marks.measured[k], marks.information[k], 0, 1)
+        values = gtsam.Values()
+        values.insert(0, pose)
+        values.insert(1, place)
+        line = seen[marks.view[k]]
+        at = marks.ids[marks.row[k]] // 2
+        image, ends = project(place, poses[marks.view[k]]), line.ends[at]
+        beside = np.linalg.norm(marks.measured[k] - ends.mean(axis=0))
+        sigma = np.sqrt(line.variances[at, 0] + beside**2 * line.variances[at, 1])
+        off = line.lines[at] @ (*image, 1.0) / sigma
+        size = abs(off)
+        assert one.error(values) == pytest.approx(0.5 * off**2 if size < 1.345 else 1.345 * (size - 0.6725), rel=0.01)
+
+
+@SOME
 @given(seed=st.integers(0, 10_000))
 def test_lines_are_triangulated_where_they_are(seed):
     segments, poses, seen = made_world(seed)
-    found = triangulate(gather(seen, FOCAL, least=3), poses)
+    found = triangulate(gather(seen, least=3), poses)
     known = found.spread < 0.02
     assert known.mean() > 0.5
     assert found.ahead[known].all()
-    assert distance_to(found.lines[known], segments[known]).max() < 1e-6
-    ends = np.sort(((segments - found.lines[:, :1]) * found.lines[:, 1:]).sum(axis=2), axis=1)
-    np.testing.assert_allclose(found.reach[known], ends[known], atol=1e-6)
+    assert distance_to(found.ends[known], segments[known]).max() < 1e-5
+    lengths = np.linalg.norm(found.ends[known, 1] - found.ends[known, 0], axis=1)
+    np.testing.assert_allclose(lengths, np.linalg.norm(segments[known, 1] - segments[known, 0], axis=1), atol=1e-5)
+
+
+def test_points_are_triangulated_where_they_are():
+    segments, poses, _ = made_world(3)
+    seen = [Points(np.arange(60), project(segments[:, 0], pose)) for pose in poses]
+    found = triangulate_points(gather(seen, least=3), poses)
+    np.testing.assert_allclose(found.ends[:, 0], segments[:, 0], atol=1e-4)
+    assert found.ahead.all()
 
 
 def test_what_noise_does_to_a_line_is_what_its_spread_says():
     ratios = []
     for seed in range(5):
         segments, poses, seen = made_world(seed, views=12, noise_px=0.3)
-        found = triangulate(gather(seen, FOCAL, least=3), poses)
+        found = triangulate(gather(seen, least=3), poses)
         depth = segments.mean(axis=1)[:, 2]
         known = found.ahead & (found.spread < 0.02)
-        ratios.append(distance_to(found.lines, segments).max(axis=1)[known] / (found.spread * depth)[known])
+        ratios.append(distance_to(found.ends, segments).max(axis=1)[known] / (found.spread * depth)[known])
     assert 0.5 < np.median(np.concatenate(ratios)) < 1.5
     assert np.mean(np.concatenate(ratios) < 3) > 0.95
 
 
-def test_poses_and_lines_come_back_together():
+def test_poses_come_back_in_the_graph():
     _, poses, seen = made_world(1)
-    observed = gather(seen, FOCAL, least=3)
+    observed = gather(seen, least=3)
     rng = np.random.default_rng(0)
-    change = np.concatenate([rng.normal(0, 0.005, (6, 3)), rng.normal(0, 0.02, (6, 3))], axis=1)
-    free = np.arange(6) >= 2
-    change[~free] = 0
-    start = move_poses(poses, change)
-    first = triangulate(observed, start).lines
-    lines, found = adjust(observed, first, start, free, steps=20)
-    assert costs(observed, lines, found).sum() < 1e-4 * costs(observed, first, start).sum()
-    np.testing.assert_allclose(found, poses, atol=1e-3)
-    assert (found[~free] == poses[~free]).all()
+    start = poses.copy()
+    start[1:-1, :, 3] += rng.normal(0, 0.02, (4, 3))
+    start[1:, :, :3] = start[1:, :, :3] @ Rotation.from_rotvec(rng.normal(0, 0.005, (5, 3))).as_matrix()
+    places = triangulate(observed, start)
+    good = places.spread < 0.03
+    found = Smoother(start, 0).update(0, start, [line_marks(observed.only(good), places.ends[good], start)])
+    assert np.abs(found - poses).max() < 0.25 * np.abs(start - poses).max()
+    np.testing.assert_allclose(found[0], poses[0], atol=1e-3)
 
 
 def test_a_pose_is_found_among_wrong_lines():
     segments, poses, seen = made_world(2, lines=80, noise_px=0.2)
     ends = seen[4].ends.copy()
     ends[:25] = ends[:25][::-1]  # a third are taken for other lines
-    pose = pose_from_lines(ends, as_lines(segments), FOCAL)
-    np.testing.assert_allclose(pose, poses[4], atol=0.01)
-    assert pose_from_lines(ends[:3], as_lines(segments)[:3], FOCAL) is None
+    lines, none = seen_as(seen[4].ids, ends, 0.2), (Points(np.zeros(0, np.int64), np.zeros((0, 2))), np.zeros((0, 3)))
+    pose = pose_from_map(lines, segments, *none, FOCAL, np.eye(4))
+    np.testing.assert_allclose(pose[:3], poses[4], atol=0.01)
+    assert pose_from_map(take(lines, np.arange(3)), segments[:3], *none, FOCAL, np.eye(4)) is None
+    few, points = np.arange(30, 33), Points(np.arange(20), project(segments[:20, 0], poses[4]))
+    pose = pose_from_map(take(lines, few), segments[few], points, segments[:20, 0], FOCAL, np.eye(4))
+    np.testing.assert_allclose(pose[:3], poses[4], atol=0.01)
 
 
 def test_a_line_that_no_view_tells_apart_is_not_known():
@@ -132,53 +194,91 @@ def test_a_line_that_no_view_tells_apart_is_not_known():
     poses = np.tile(np.eye(3, 4), (6, 1, 1))
     poses[:, 0, 3] = 0.2 * np.arange(6)
     flat = np.array([[[-1.0, 0.5, 4.0], [1.0, 0.5, 4.0]]])
-    views = [View(np.array([0]), homogeneous((flat - p[:, 3])[:, :, :2] / 4.0)) for p in poses]
-    assert triangulate(gather(views, FOCAL, least=3), poses).spread[0] > 0.2
+    views = [seen_as(np.array([0]), project(flat, pose)) for pose in poses]
+    assert triangulate(gather(views, least=3), poses).spread[0] > 0.2
 
 
-def views_of_truth(frames: int, motion: str = "handheld") -> tuple[list[View], np.ndarray, float]:
-    """Of a rendered clip: what is seen of its true lines, the poses, the focal length."""
-    sequence = RenderedClip(seed=5, frames=frames, size=(320, 240), motion=motion)
-    views, poses = [], []
-    for index, view in enumerate(sequence):
-        camera = frame_of(index, view).camera
-        views.append(View(view.ids, homogeneous(camera.normalize(view.segments_px))))
+def tracks_of_truth(frames: int, motion: str = "handheld") -> tuple[list[LineTracks], np.ndarray, float]:
+    """Of a rendered clip: its true lines as tracks, with flow points, the poses, the focal length."""
+    clip = RenderedClip(seed=5, frames=frames, size=(320, 240), motion=motion)
+    frontends = Frontends([TRUE_LINES])
+    poses = []
+    for index, view in enumerate(render_clip(clip)):
+        frontends.look(frame_of(index, view), view)
         poses.append(view.pose[:3])
-    return views, np.array(poses), sequence.K[0, 0]
+    return frontends.tracks[TRUE_LINES], np.array(poses), clip.K[0, 0]
 
 
-def run(views: list[View], focal: float) -> LineOdometry:
-    odometry = LineOdometry(focal)
-    for view in views:
-        odometry.add(view)
+def run(tracks: list[LineTracks], focal: float, points: bool = False) -> LineOdometry:
+    odometry = LineOdometry(focal, points=points)
+    for one in tracks:
+        odometry.add(one)
     return odometry
 
 
-def test_true_lines_give_the_true_path_and_a_view_without_lines_is_bridged():
-    views, poses, focal = views_of_truth(60)
-    odometry = run(views, focal)
-    path = align(odometry.trajectory(), poses)
-    assert max(path.ate_percent, path.rotation_deg) < 0.01
-    assert odometry.lost == []
-    views[50] = View(np.zeros(0, np.int64), np.zeros((0, 2, 3)))
-    odometry = run(views, focal)
-    assert odometry.lost == [50]
-    assert align(odometry.trajectory(), poses).ate_percent < 0.5
+def without_anything(tracks: LineTracks) -> LineTracks:
+    nothing = np.zeros(0, np.int64), np.zeros((0, 2), np.float32)
+    return replace(tracks.take(np.zeros(0, np.intp)), point_ids=nothing[0], points_px=nothing[1])
+
+
+def test_true_lines_give_the_true_path_and_lost_poses_are_regained():
+    tracks, poses, focal = tracks_of_truth(70)
+    odometry = run(tracks, focal)
+    path = align(odometry.trajectory(), poses[odometry.first :])
+    assert max(path.ate_percent, path.rotation_deg) < 0.2
+    assert (odometry.lost, odometry.failed, len(odometry.begun)) == ([], [], 1)
+    for k in (50, 51, 52):
+        tracks[k] = without_anything(tracks[k])
+    odometry = run(tracks, focal)
+    assert [index + odometry.first for index in odometry.lost] == [50, 51, 52]
+    assert align(odometry.trajectory(), poses[odometry.first :]).ate_percent < 1
+
+
+def test_another_map_begins_where_nothing_is_known_any_more():
+    tracks, poses, focal = tracks_of_truth(80)
+    later = 1 + max(int(one.ids.max()) for one in tracks), 1 + max(int(one.point_ids.max()) for one in tracks)
+    for k in range(40, 80):  # as behind a reset of the tracker: all ids are new
+        tracks[k] = replace(tracks[k], ids=tracks[k].ids + later[0], point_ids=tracks[k].point_ids + later[1])
+    odometry = run(tracks, focal)
+    assert len(odometry.begun) == 2
+    assert odometry.begun[1] >= 40
+    second = odometry.trajectory()[odometry.begun[1] - odometry.first :]
+    assert align(second, poses[odometry.begun[1] :]).ate_percent < 0.5  # by itself: its scale is another
+
+
+def test_a_graph_that_cannot_be_solved_begins_anew(monkeypatch):
+    tracks, poses, focal = tracks_of_truth(60)
+    update, calls = Smoother.update, []
+
+    def failing(self, *arguments):
+        calls.append(1)
+        if len(calls) == 4:
+            raise RuntimeError("Indeterminate linear system")
+        return update(self, *arguments)
+
+    monkeypatch.setattr(Smoother, "update", failing)
+    odometry = run(tracks, focal)
+    assert len(odometry.failed) == 1
+    assert align(odometry.trajectory(), poses[odometry.first :]).ate_percent < 0.2
 
 
 def test_a_camera_at_rest_has_no_path():
-    views, _, focal = views_of_truth(12, motion="static")
-    assert run(views, focal).trajectory().shape == (0, 3, 4)
+    tracks, _, focal = tracks_of_truth(12, motion="static")
+    odometry = run(tracks, focal)
+    assert odometry.trajectory().shape == (0, 3, 4)
+    assert "not moved" in odometry.waits
 
 
 def test_our_lines_give_path_and_map():
-    seen = built_in(60, [OURS, TRUE_LINES])
-    path = align(run(seen.views[OURS], seen.focal).trajectory(), seen.poses)
-    assert max(path.ate_percent, path.rotation_deg) < 1
-    length, precision = mapped(map_lines(seen.views[OURS], seen.poses, seen.focal)[1], seen.lines)
-    best, _ = mapped(map_lines(seen.views[TRUE_LINES], seen.poses, seen.focal)[1], seen.lines)
+    seen = rendered(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=60), [OURS, TRUE_LINES])
+    odometry = run(seen.tracks[OURS], seen.focal)
+    path = align(odometry.trajectory(), seen.poses[odometry.first :])
+    assert max(path.ate_percent, path.rotation_deg) < 0.5
+    views = {name: [View.of(one).lines for one in tracks] for name, tracks in seen.tracks.items()}
+    length, precision = mapped(map_lines(views[OURS], seen.poses, seen.focal)[1], seen.lines)
+    best, _ = mapped(map_lines(views[TRUE_LINES], seen.poses, seen.focal)[1], seen.lines)
     assert best > length > 40
-    assert precision > 80
+    assert precision > 75
 
 
 def test_a_camera_is_needed():
@@ -222,8 +322,20 @@ def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
 
 
 @pytest.mark.skipif(not KITTI.is_dir(), reason="needs the data set kitti_clip")
-def test_a_drive_on_a_street(tmp_path):
-    assert figures_of(tmp_path, "--clip", KITTI)[0][OURS]["ate_percent"] < 2
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("--slice", "0:26"),
+        ("--slice", "50:24:-1"),
+        ("--max-lines", "20", "--points"),
+        ("--max-lines", "40", "--points"),
+    ],
+)
+def test_a_drive_on_a_street(tmp_path, arguments):
+    figures = figures_of(tmp_path, "--clip", KITTI, *arguments)[0][OURS]
+    assert figures["ate_percent"] < 0.5
+    assert (figures["lost_frames"], figures["maps"]) == (0, 1)
 
 
 def test_a_folder_that_is_no_clip_is_one_line(tmp_path):
