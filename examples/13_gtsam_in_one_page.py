@@ -76,7 +76,7 @@ for name, kind in {"--calib": str, "--poses": str, "--max-frames": int, "--save"
     parser.add_argument(name, type=kind)
 options = parser.parse_args()
 if options.input is None:
-    options.poses, options.max_frames = CLIP.with_name("poses.txt"), options.max_frames or 100
+    options.poses, options.max_frames = CLIP.with_name("poses.txt"), options.max_frames or 60
 history, poses, lines, keys, last, waiting, count = TrackHistory(), {}, {}, [], [], [], 0
 try:
     source = open_input(options.input, RunConfig(input=InputConfig(calib=options.calib, max_frames=options.max_frames)))
