@@ -22,7 +22,7 @@ HUBER = 2.0  # standard deviations
 STEPS = 4
 POINT_ERROR = 5e-4  # of an observed point, on the plane z = 1
 PART_VIEWS = 3  # views that a part of a line must have been seen in
-MAP_VIEWS, MAP_RMS, MAP_SPREAD = 5, 1.0, 0.004  # of a line in a map: at least, px, and 4 mm of its worse end at a metre
+MAP_VIEWS, MAP_RMS, MAP_SPREAD = 5, 0.5, 0.004  # of a line in a map: at least, px, and 4 mm of its worse end at a metre
 
 
 @dataclass(frozen=True)
