@@ -21,20 +21,23 @@ from rich.table import Table
 from airline.command import write_json
 from airline.errors import AirLineError
 from airline.scenes import RenderedClip
-from line_odometry.clips import FUSED, LSD, OURS, TRUE_LINES, Seen, posed, rendered
-from line_odometry.odometry import LineOdometry
-from line_odometry.score import align, mapped
-from line_odometry.show import show
-from line_odometry.triangulation import map_lines
-from line_odometry.views import View
+try:
+    from line_odometry.clips import FUSED, LSD, OURS, TRUE_LINES, Seen, posed, rendered
+    from line_odometry.odometry import LineOdometry
+    from line_odometry.score import align, mapped
+    from line_odometry.show import show
+    from line_odometry.triangulation import map_lines
+    from line_odometry.views import View
+except ImportError as error:
+    sys.exit(f"error: {error}: pip install 'airline-frontend[odometry]' evo")
 
 COLUMNS = {
-    "ate_percent": "path error, % of its length",
-    "rotation_deg": "rotation error, degrees",
-    "lost_frames": "frames without a pose",
+    "ate_percent": "path, %",
+    "rotation_deg": "rotation, °",
+    "lost_frames": "no pose",
     "maps": "maps",
-    "mapped_length_percent": "true length mapped, %",
-    "mapped_precision_percent": "map that is true, %",
+    "mapped_length_percent": "mapped, %",
+    "mapped_precision_percent": "map true, %",
     "frames_per_second": "frames/s",
 }
 SEED_FRAMES = 90
@@ -86,7 +89,7 @@ def many(first: int, last: int, names: list[str], points: bool, max_lines: int) 
                 "of": float(len(figures)),
                 "median ATE, %": float(np.median(errors)) if errors else None,
                 "worst ATE, %": max(errors, default=None),
-                "frames without a pose, median": float(np.median([row["lost_frames"] or 0.0 for row in figures])),
+                "frames without a pose": float(np.median([row["lost_frames"] or 0.0 for row in figures])),
             }
     return results
 

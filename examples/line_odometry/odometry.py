@@ -172,7 +172,7 @@ class LineOdometry:
         index, last = len(self._places), self._keyframes[-1]
         before, now = self._views[last].lines.ids, self._views[index].lines.ids
         seen = np.isin(before[np.isfinite(self.map.find(before)[1])], now)
-        if index - last >= KEYFRAME_EVERY or seen.mean() < KEYFRAME_SEEN:
+        if index - last >= KEYFRAME_EVERY or seen.sum() <= KEYFRAME_SEEN * len(seen):
             self._keyframes.append(index)
             self._keyposes.append(pose)
             self._place(pose)
