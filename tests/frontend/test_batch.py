@@ -138,7 +138,7 @@ def test_what_has_changed_is_run_again(clip: Path, tmp_path: Path, monkeypatch: 
 
 
 def test_a_kind_that_needs_points_is_refused_once() -> None:
-    with pytest.raises(ConfigError, match="UV-SLAM takes points .*: add --points"):
+    with pytest.raises(ConfigError, match=r"UV-SLAM takes points .*: add --points"):
         job_settings(RunConfig(), ["parquet", "uvslam"])
 
 

@@ -75,7 +75,7 @@ def test_a_kind_that_a_name_only_hints_at_is_said(spec: str, said: str) -> None:
 
 
 def test_a_system_that_needs_points_is_refused_before_any_work(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="UV-SLAM takes points .*: add --points"):
+    with pytest.raises(ConfigError, match=r"UV-SLAM takes points .*: add --points"):
         check(str(tmp_path / "uvslam.bag"))
     check(str(tmp_path / "uvslam.bag"), points=True)
     check(str(tmp_path / "eplf.bag"))
