@@ -144,7 +144,7 @@ def _geometry(
     everything = np.ones(len(points), np.bool_)
     try:
         with from_extra("poses"):
-            import poselib  # type: ignore[import-untyped]
+            import poselib
     except ConfigError as error:
         return *nothing, everything, (f"without geometry pairs are found in near views alone: {error}",)
     few = (
