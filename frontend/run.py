@@ -73,7 +73,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
     from frontend.cli.info import introduce, properties
 
     video = wiring.video_to_log(options.input, config)
-    track_files = wiring.track_files(options.out, overwrite=options.overwrite)
+    track_files = wiring.track_files(options.out, overwrite=options.overwrite, points=config.tracker.points)
     check_outputs(options, chain(*track_files))
 
     with ExitStack() as stack:
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
                 raise ConfigError("a layer goes into a recording: give --save FILE.rrd or a viewer")
 
             said = 0
-            ours: list[str] = []
+            ours: list[str] = [*filter(None, map(wiring.guess_of, options.out))]
 
             def sinks(first: Frame) -> Iterator[Sink]:  # opens them
                 nonlocal said
@@ -206,7 +206,7 @@ def report(
         for spec, files in zip(options.out, track_files, strict=True):
             if files[0].exists():  # it may have been removed, or have been left unfinished
                 look = f"; look at it with: python -m viz.replay {shlex.quote(str(files[0]))}"
-                print(f"wrote {spec}{look if files[0].suffix in ('.mcap', '.parquet') else ''}")
+                print(f"wrote {spec}{look if wiring.can_be_replayed(spec) else ''}")
     if error is not None:
         raise error
 

@@ -60,7 +60,8 @@ def run_batch(
         inputs: files, folders or globs: videos, logs, bag folders, image folders.
         out: the folder of all results, made if need be.
         config: settings of each run, see `frontend.cli.settings.load`.
-        write: what to write for each recording: "parquet", "mcap", "csv", "limap", "bag", "plvins" or "rrd".
+        write: what to write for each recording: "parquet", "mcap", "csv", "limap", "bag", "plvins", "eplf",
+            "uvslam" or "rrd".
         workers: how many recordings run at once on this machine; by default one per two cores.
         ray: run on Ray instead: "local", "auto", "HOST:PORT" or "ray://HOST:PORT".
         overwrite: run recordings that have results, too.

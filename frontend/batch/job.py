@@ -25,6 +25,8 @@ OUTPUTS = {
     "limap": "limap",
     "bag": "plvins.bag",
     "plvins": "plvins.mcap",
+    "eplf": "eplf.bag",
+    "uvslam": "uvslam.bag",
     "rrd": "recording.rrd",
 }
 REPORT = "report.parquet"

@@ -95,9 +95,12 @@ def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
     """
     from airline.network.weights import BUNDLED, load_weights
     from frontend.camera.calibration import read_calibration
+    from frontend.cli.wiring import check_points
 
     if not write or not OUTPUTS.keys() >= set(write):
         raise ConfigError(f"cannot write {', '.join(write) or 'nothing'}: choose from {', '.join(OUTPUTS)}")
+    for kind in write:
+        check_points(kind, config.tracker.points)
     values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(config))
     chosen, edges = values["input"], values["detector"]["edges"]
     files: dict[str, dict[str, int]] = {}

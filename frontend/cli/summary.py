@@ -33,6 +33,7 @@ class Summary:
         measured_per_frame: of these, the ones that were measured and not detected.
         measured_share: the same, as a share of all observations.
         left_out_per_frame: mean number of tracks seen beyond `max_lines`.
+        points_per_frame: mean number of points followed beside the lines.
         tracks: number of tracks handed out that were confirmed.
         ids: number of all tracks handed out, those that stayed tentative too: so many ids are in the files.
         resets: how often the tracks began anew.
@@ -58,6 +59,7 @@ class Summary:
     measured_per_frame: float
     measured_share: float
     left_out_per_frame: float
+    points_per_frame: float
     tracks: int
     ids: int
     track_length_median: float
@@ -95,6 +97,7 @@ class Summary:
                 "of these stable": f"{self.stable_tracks_per_frame:.1f}",
                 "of these measured, not detected": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
                 **({"left out by --max-lines": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
+                **({"points per frame": f"{self.points_per_frame:.1f}"} if self.points_per_frame else {}),
                 "all tracks": f"{self.tracks} confirmed of {self.ids} ids",
                 "seen in, median": f"{self.track_length_median:g} frames",
                 **({"began anew": f"{self.resets} times, first: {self.first_reset}"} if self.resets else {}),
@@ -117,7 +120,7 @@ class SummaryCounter:
         self._confirm_hits = confirm_hits
         self._begin_s = self._latest_s = time.perf_counter()
         self._frames = 0
-        self._counts = np.zeros(5)  # of lines, tracks, stable ones, measured ones, and ones that were left out
+        self._counts = np.zeros(6)  # of lines, tracks, stable ones, measured ones, ones that were left out, and points
         self._resets = 0
         self._first_reset: str | None = None
         self._stages: dict[str, deque[float]] = {}
@@ -136,7 +139,7 @@ class SummaryCounter:
         self._frames += 1
         tracks = result.tracks
         kinds = tracks.stable.sum(), tracks.measured.sum()
-        self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out)
+        self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out, len(tracks.point_ids))
         if tracks.reset is not None:
             self._resets += 1
             self._first_reset = self._first_reset or tracks.reset
@@ -150,7 +153,7 @@ class SummaryCounter:
         """The figures so far, with what the source counted."""
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
-        lines, live, stable, measured, left_out = (self._counts / frames).tolist()
+        lines, live, stable, measured, left_out, points = (self._counts / frames).tolist()
         of_all = self._lengths + Counter(self._hits.values())
         lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
@@ -168,6 +171,7 @@ class SummaryCounter:
             measured_per_frame=round(measured, 2),
             measured_share=round(measured / live, 4) if live else 0.0,
             left_out_per_frame=round(left_out, 2),
+            points_per_frame=round(points, 2),
             tracks=sum(lengths.values()),
             ids=sum(n for hits, n in of_all.items() if hits),
             track_length_median=float(np.median(sizes)),

@@ -103,13 +103,35 @@ def list_topics(spec: str | None) -> str:
         return as_text(rows)
 
 
-def track_files(specs: list[str], *, overwrite: bool) -> list[list[Path]]:
-    """The files of each output for tracked lines, its own first; raises InputError for one that cannot be made."""
+def track_files(specs: list[str], *, overwrite: bool, points: bool) -> list[list[Path]]:
+    """The files of each output for tracked lines, its own first; raises AirLineError for one that cannot be made."""
     from logs.sinks.open import check, files_of
 
     for spec in specs:
-        check(spec, overwrite=overwrite)
+        check(spec, overwrite=overwrite, points=points)
     return [files_of(spec) for spec in specs]
+
+
+def check_points(kind: str, points: bool) -> None:
+    """Refuse a kind of output that takes points beside the lines, if there are none; raises ConfigError."""
+    from logs.sinks.clouds import SYSTEMS, check_points
+
+    if kind in SYSTEMS:
+        check_points(kind, points)
+
+
+def can_be_replayed(spec: str) -> bool:
+    """Whether `viz.replay` reads what is written into an output."""
+    from logs.sinks.open import kind_and_path
+
+    return kind_and_path(spec)[0] in ("mcap", "parquet")
+
+
+def guess_of(spec: str) -> str | None:
+    """What is said of an output whose kind its name only hints at; see `logs.sinks.open`."""
+    from logs.sinks.open import guess_of
+
+    return guess_of(spec)
 
 
 def open_track_sink(spec: str, **options: Any) -> Sink:

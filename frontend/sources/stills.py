@@ -79,7 +79,7 @@ def read_image(path: Path) -> Image:
     try:
         return read_still(path.read_bytes()).image
     except OSError as error:
-        raise InputError(f"cannot read '{path}': {error}") from error
+        raise InputError(f"cannot read '{path}' ({error.strerror}): give an image file") from error
     except UndecodableError as error:
         raise InputError(f"'{path}' is no image that can be read, {error}: replace or remove it") from error
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from airline.errors import ConfigError
 from frontend.camera.model import CameraModel
 from logs.sinks.vanishing import vanishing_points
 
@@ -163,3 +164,9 @@ SYSTEMS = {
         restart="/feature_tracker/restart",
     ),
 }
+
+
+def check_points(system: str, points: bool) -> None:
+    """Refuse, before any work, a system of `SYSTEMS` that takes points with the lines, if there are none."""
+    if SYSTEMS[system].lines is None and not points:
+        raise ConfigError(f"{SYSTEMS[system].name} takes points and lines in one message: add --points")

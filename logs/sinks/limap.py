@@ -62,7 +62,7 @@ class LimapTrackSink:
     Lines are the fused ones of all tracks. LIMAP wants images without distortion and follows COLMAP, whose (0, 0) is
     the corner of the top-left pixel. So lines are undistorted where the camera is known, for a pinhole camera of the
     same focal lengths and principal point, that of `cameras.txt`, and moved by half a pixel: leave LIMAP's
-    `triangulation.add_halfpix` off. Lines with an end that no undistortion reaches are left out.
+    `triangulation.add_halfpix` off. Lines with an end that no undistortion reaches are left out, and points.
 
     Args:
         folder: made if it does not exist.
@@ -94,6 +94,7 @@ class LimapTrackSink:
             file.write(b"image_id,stamp_ns,name\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
         self._camera: str | None = None
+        self._points = 0  # that were left out
         self._last, self._last_name, self._in_order = -1, "", True
 
     def write(self, result: FrameResult) -> None:
@@ -108,6 +109,7 @@ class LimapTrackSink:
         self._last, self._last_name = tracks.frame_index, name
         with self._images.writing(), errors_of(self._folder):
             self._write_camera(tracks.camera)
+        self._points += len(tracks.point_ids)
         self.add(tracks.frame_index + 1, name, tracks.stamp_ns, *_lines(tracks))
 
     def add(
@@ -133,6 +135,8 @@ class LimapTrackSink:
                 for image, _, matches in self._window:
                     self._write_matches(image, matches)
             finish_folder(self._folder, self._neighbours)
+            if self._points:
+                log.warning("'%s': LIMAP takes no points, %d are left out", self._folder, self._points)
 
     def _match(self, image: int, ids: NDArray[np.int64]) -> None:
         """Match with the images before; an image is done with when its last neighbour has been seen."""

@@ -57,15 +57,33 @@ def kind_and_path(spec: str) -> tuple[str, Path]:
     raise InputError(f"cannot tell what to write into '{spec}': give {', '.join(name for name, *_ in KINDS.values())}")
 
 
+def guess_of(spec: str) -> str | None:
+    """A sentence on an output that is for one of PL-VINS's kin by the end of its name alone; None for others."""
+    from logs.sinks.clouds import SYSTEMS
+
+    kind, path = kind_and_path(spec)
+    if kind not in VINS or spec.startswith(f"{kind}:") or path.stem.lower() == kind:
+        return None
+    other = path.suffix.lower()[1:]
+    reader = "Foxglove" if other == "mcap" else SYSTEMS["plvins"].name
+    if SYSTEMS[kind].name == reader:
+        return None
+    return f"{path} is for {SYSTEMS[kind].name}, as its name ends with '{kind}': give {other}:{path} for {reader}"
+
+
 def files_of(spec: str) -> list[Path]:
     """What an output writes: the file or folder that it is named after, and what lies beside it."""
     kind, path = kind_and_path(spec)
     return [path, *(tables_of(path) if kind == "csv" else [journal_of(path)] if kind == "parquet" else [])]
 
 
-def check(spec: str, overwrite: bool = False) -> None:
-    """Refuse, before any work, an output that exists or that cannot be made; raises InputError."""
+def check(spec: str, overwrite: bool = False, points: bool = False) -> None:
+    """Refuse, before any work, an output that exists, cannot be made, or needs points; raises AirLineError."""
+    from logs.sinks.clouds import check_points
+
     kind, path = kind_and_path(spec)
+    if kind in VINS:
+        check_points(kind, points)
     *_, refuse = KINDS[kind]
     refuse(path, overwrite)
 

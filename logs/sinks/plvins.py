@@ -23,7 +23,7 @@ from airline.errors import ConfigError, InputError
 from frontend.protocols import FrameResult
 from frontend.tracks import LineTracks
 from logs.sinks.bag import BagOutput
-from logs.sinks.clouds import SYSTEMS, Cloud, Float32, Observed
+from logs.sinks.clouds import SYSTEMS, Cloud, Float32, Observed, check_points
 from logs.sinks.output import McapOutput
 from logs.tracks.json import SECOND_NS
 
@@ -90,9 +90,8 @@ class Messages:
 
     def __init__(self, system: str = "plvins", stride: int = 1, points: bool = False) -> None:
         """Lines, and points too, of every stride-th image of a recording; raises ConfigError for lines without them."""
+        check_points(system, points)
         self._name, self._points, self._stride = SYSTEMS[system].name, points, stride
-        if SYSTEMS[system].lines is None and not points:
-            raise ConfigError(f"{self._name} takes points and lines in one message: add --points")
         self._fills = SYSTEMS[system].by_order and not points
         self._line_numbers, self._point_numbers = _Numbers(), _Numbers()
         self._before: LineTracks | None = None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import os
 from pathlib import Path
 
@@ -29,6 +30,8 @@ _ROWS_WAITING = 50_000  # at most, 11 MB
 _GROUP_ROWS = 100_000  # 22 MB
 _DESCRIPTOR_LENGTH = 6  # of a CSV file without rows
 _NOT_IN_CSV = ("descriptor", *FRAME_COLUMNS)
+
+log = logging.getLogger(__name__)
 
 
 def _is_due(output: OutputFile, frames: list[LineTracks]) -> bool:
@@ -141,7 +144,8 @@ class CsvTrackSink:
     frame. Floats have the shortest text that reads back as the same float32, always with a point or an exponent, and
     NaN where there is none: whatever stands in the first lines, readers that guess types find the right ones. All
     frames, those without lines too, are listed in NAME.frames.csv, with their number of lines and the reason of a
-    reset; points in NAME.points.csv, where there are any. Neither is written where the file is a pipe or device.
+    reset; points in NAME.points.csv, where there are any. Neither is written where the file is a pipe or device, and
+    `close` warns of the points.
     Arguments and errors are those of `OutputFile`.
     """
 
@@ -152,6 +156,7 @@ class CsvTrackSink:
         frames, self._points_path = tables_of(path)
         self._table = OutputFile(frames, overwrite) if path.is_file() else None
         self._points: OutputFile | None = None
+        self._left_out = 0  # points
         if self._table is not None:
             with errors_of(self._points_path):
                 self._points_path.unlink(missing_ok=True)
@@ -180,6 +185,13 @@ class CsvTrackSink:
             if self._output.is_open:
                 self._flush()
                 self._output.close()
+                if self._left_out:
+                    log.warning(
+                        "'%s' has no place for points, %d are left out: write a file, which gets %s beside it",
+                        self._output.path,
+                        self._left_out,
+                        "NAME.points.csv",
+                    )
         finally:
             for table in (self._table, self._points):
                 if table is not None:
@@ -195,6 +207,8 @@ class CsvTrackSink:
         if with_points and self._table is not None:
             begun, self._points = self._points is not None, self._points or OutputFile(self._points_path, False)
             _append(self._points, _as_csv(points_of(with_points), not begun))
+        elif self._table is None:
+            self._left_out += sum(len(one.point_ids) for one in with_points)
         self._frames = []
         length = _DESCRIPTOR_LENGTH if self._descriptor_length is None else self._descriptor_length
         descriptors = table.column("descriptor").flatten().to_numpy().reshape(len(table), length)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airline.errors import AirLineError, InputError
+from airline.errors import AirLineError, ConfigError, InputError
 from frontend.batch import job as jobs
 from frontend.batch import reserved, run_batch
 from frontend.batch.__main__ import main
@@ -123,13 +123,23 @@ def test_what_has_changed_is_run_again(clip: Path, tmp_path: Path, monkeypatch: 
     assert {name: row["status"] for name, row in report_of(out).items()} == {"a": "done", "b": "skipped"}
     after = write_times(out)
     assert (after["a"] != before["a"], after["b"]) == (True, before["b"])
-    other = ["--stride", 2, "--serial", "--preset", "fast", "--calib", "cam.json", "--write", *OUTPUTS]
+    other = ["--stride", 2, "--serial", "--preset", "fast", "--calib", "cam.json", "--points", "--write", *OUTPUTS]
     assert batch(logs[0], "--out", out, *other).code == 0
     assert {(row["status"], row["frames"]) for row in report_of(out).values()} == {("done", FRAMES // 2)}
-    assert {path.name for path in (out / "a").iterdir()} == {*OUTPUTS.values(), "tracks.frames.csv", "summary.json"}
+    assert {path.name for path in (out / "a").iterdir()} == {
+        *OUTPUTS.values(),
+        "tracks.frames.csv",
+        "tracks.points.csv",
+        "summary.json",
+    }
     assert batch(logs[0], "--out", out, *other).code == 0
     assert [(row["name"], row["status"]) for row in report_of(out).values()] == [("a", "skipped")]
     assert visible(out) == {"a", "b"}
+
+
+def test_a_kind_that_needs_points_is_refused_once() -> None:
+    with pytest.raises(ConfigError, match=r"UV-SLAM takes points .*: add --points"):
+        job_settings(RunConfig(), ["parquet", "uvslam"])
 
 
 def test_recordings_keep_the_names_of_their_results(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from airline import AirLine
+from airline.errors import InputError
 from airline.scenes import RenderedClip
 from frontend import CameraModel, LineMatches, match_lines
 from frontend.evaluate import main as evaluate
@@ -18,6 +19,7 @@ from frontend.evaluation import matches as measured
 from frontend.evaluation.moved import moved_lines
 from frontend.evaluation.truth import Truth, owners
 from frontend.match import COLUMNS, main
+from frontend.sources.stills import read_image
 from tests.helpers.command import command, refusal
 
 CLIP = RenderedClip("street", "handheld", 102, 60, min_contrast=1.0, merge_doubles=False)
@@ -188,3 +190,9 @@ def test_rendered_and_labelled_frames_are_measured(tmp_path: Path, monkeypatch: 
     np.savetxt(tmp_path / "associations" / "0_1.csv", table, delimiter=",")
     (group,) = measured.match_figures(tmp_path).values()
     assert group["votes"]["f"] > 0.95
+
+
+@pytest.mark.parametrize("name", ["missing.png", "."])
+def test_what_is_no_file_asks_for_one(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give an image file"):
+        read_image(tmp_path / name)

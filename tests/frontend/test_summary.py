@@ -92,3 +92,13 @@ def test_memory_does_not_grow_with_the_run() -> None:
     for spent in times:
         counter.add(one, spent)
     assert counter.summary(Source()).stage_ms["sinks"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)
+
+
+def test_points_are_counted_and_said_where_there_are_any() -> None:
+    counter = SummaryCounter(3)
+    for count in (3, 0, 4):
+        counter.add(result(replace(blank_tracks(0), point_ids=np.arange(count)), 0, {}), 0.0)
+    summary = counter.summary(Source())
+    assert summary.points_per_frame == 2.33
+    assert "points per frame" in summary.table().columns[1].cells
+    assert "points per frame" not in SummaryCounter(3).summary(Source()).table().columns[1].cells

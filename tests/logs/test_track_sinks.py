@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +15,9 @@ from airline.errors import ConfigError, InputError
 from frontend.tracks import LineTracks
 from logs.read import read_tracks
 from logs.repair import main
-from logs.sinks.open import check, kind_and_path, open_track_sink
+from logs.sinks.open import check, guess_of, kind_and_path, open_track_sink
 from logs.sinks.tables import ParquetTrackSink, finish_journal
-from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks
+from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks, result_of
 
 ROOT = Path(__file__).parents[2]
 ALL = ("all.mcap", "all.parquet", "all.csv", "limap/", "plvins.mcap", "all.bag")
@@ -54,6 +56,41 @@ def write(spec: str, results, **options) -> None:
 )
 def test_a_name_tells_its_kind(spec, kind, path):
     assert kind_and_path(spec) == (kind, Path(path))
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("drive_uvslam.mcap", "drive_uvslam.mcap is for UV-SLAM.*: give mcap:drive_uvslam.mcap for Foxglove"),
+        ("a/drive_plvins.mcap", "drive_plvins.mcap is for PL-VINS.*: give mcap:a/drive_plvins.mcap for Foxglove"),
+        ("drive_eplf.bag", "drive_eplf.bag is for EPLF-VINS.*: give bag:drive_eplf.bag for PL-VINS"),
+        *((spec, "") for spec in ("uvslam.mcap", "uvslam:my_uvslam.mcap", "mcap:my_uvslam.mcap", "my_plvins.bag")),
+        *((spec, "") for spec in ("tracks.mcap", "limap/", "tracks.bag")),
+    ],
+)
+def test_a_kind_that_a_name_only_hints_at_is_said(spec: str, said: str) -> None:
+    note = guess_of(spec)
+    assert (note is None) == (not said)
+    assert note is None or re.search(said, note)
+
+
+def test_a_system_that_needs_points_is_refused_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"UV-SLAM takes points .*: add --points"):
+        check(str(tmp_path / "uvslam.bag"))
+    check(str(tmp_path / "uvslam.bag"), points=True)
+    check(str(tmp_path / "eplf.bag"))
+
+
+@pytest.mark.parametrize("kind", ["csv", "limap"])
+def test_points_that_an_output_has_no_place_for_are_counted(
+    kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rng = np.random.default_rng(0)
+    stream = [made_tracks(k, k, np.arange(2), rng, points=3 + k) for k in range(2)]
+    place = Path(os.devnull) if kind == "csv" else tmp_path / "limap"
+    write(f"{kind}:{place}", map(result_of, stream), overwrite=True)
+    (said,) = caplog.messages
+    assert "7 are left out" in said
 
 
 @pytest.mark.parametrize("spec", ["tracks", "tracks.txt", "xyz:t.mcap.gz", ""])
