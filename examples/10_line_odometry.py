@@ -21,6 +21,7 @@ from rich.table import Table
 from airline.command import write_json
 from airline.errors import AirLineError
 from airline.scenes import RenderedClip
+
 try:
     from line_odometry.clips import FUSED, LSD, OURS, TRUE_LINES, Seen, posed, rendered
     from line_odometry.odometry import LineOdometry
