@@ -100,9 +100,8 @@ class LineOdometry:
         self._views: list[View] = []
         self._keyframes: list[int] = []
         self._keyposes: list[Array] = []
-        self._places: list[
-            tuple[int, Array]
-        ] = []  # of each view: its keyframe, by number, and its pose in that one's axes
+        # of each view: its keyframe, by number, and its pose in that one's axes
+        self._places: list[tuple[int, Array]] = []
         self._motion = np.eye(4)  # from the frame before to the last one
 
     def add(self, tracks: LineTracks) -> None:
