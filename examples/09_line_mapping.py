@@ -12,18 +12,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices this small are do
 
 import numpy as np
 
-from line_odometry.clips import OURS, built_in
+from airline.scenes import RenderedClip
+from line_odometry.clips import OURS, rendered
 from line_odometry.score import mapped
 from line_odometry.show import show
 from line_odometry.triangulation import map_lines
+from line_odometry.views import View
 
 parser = argparse.ArgumentParser(description="Reconstruct lines in space from tracks and known poses.")
 parser.add_argument("--frames", type=int, default=200, metavar="N", help="of the built-in clip (default: %(default)s)")
 parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="record the lines for the Rerun viewer")
 options = parser.parse_args()
 
-seen = built_in(options.frames, [OURS])
-ids, segments = map_lines(seen.views[OURS], seen.poses, seen.focal)
+seen = rendered(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=options.frames), [OURS])
+ids, segments = map_lines([View.of(tracks).lines for tracks in seen.tracks[OURS]], seen.poses, seen.focal)
 lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
 print(f"{len(segments)} lines, {lengths.sum():.1f} m, from {len(seen.poses)} frames; the longest are")
 for row in np.argsort(-lengths)[:5]:

@@ -156,7 +156,7 @@ def test_ids_and_names_are_those_of_colmaps_import(tmp_path: Path, caplog: pytes
         for k in range(12):
             cv2.imwrite(f"{folder}/left, {k:{digits}}.png", np.full((24, 32), k, np.uint8))
         frames = list(FolderSource(folder))
-        made = [made_tracks(k, k, np.arange(3), np.random.default_rng(k)) for k in range(12)]
+        made = [made_tracks(k, k, np.arange(3), np.random.default_rng(k), points=0) for k in range(12)]
         results = [replace(result_of(one), frame=frame) for one, frame in zip(made, frames, strict=True)]
         caplog.clear()
         write_tracks(LimapTrackSink(folder / "limap"), results)
