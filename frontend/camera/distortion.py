@@ -45,7 +45,12 @@ def distort_radial_tangential(plane: Array, coefficients: Array) -> Array:
 def undistort_radial_tangential(distorted: Array, coefficients: Array) -> Array:
     """The inverse of `distort_radial_tangential`; NaN where no point of its domain is moved to."""
     profile, p1, p2 = _radial_tangential(coefficients)
-    plane = _rescaled(distorted, _invert(profile, np.hypot(distorted[:, 0], distorted[:, 1]), _WIDEST))
+    radius = np.hypot(distorted[:, 0], distorted[:, 1])
+    if (p1 or p2) and (
+        limit := _limit(profile)
+    ) < np.inf:  # the tangential part moves some points beyond the radial one
+        radius = np.minimum(radius, _value(profile, np.array(0.99 * limit))[0])
+    plane = _rescaled(distorted, _invert(profile, radius, _WIDEST))
     if p1 or p2:
         for _ in range(_ITERATIONS):  # Newton; the radial part alone is a close start
             moved, (a, b, c) = _move(plane, profile, p1, p2)
