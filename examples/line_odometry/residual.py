@@ -78,9 +78,9 @@ def point_marks(seen: Observations[Points], places: Array) -> Marks:
 
 def factor(measured: Array, information: Array, pose_key: int, point_key: int) -> gtsam.NonlinearFactor:
     """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`."""
-    noise = gtsam.noiseModel.Robust.Create(
-        _LOSS, gtsam.noiseModel.Gaussian.SqrtInformation(information, False)
-    )  # smart: no minus on a diagonal
+    # not its smart way, which takes a diagonal for sigmas and refuses a minus there
+    gaussian = gtsam.noiseModel.Gaussian.SqrtInformation(information, False)
+    noise = gtsam.noiseModel.Robust.Create(_LOSS, gaussian)
     return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False)
 
 
