@@ -75,9 +75,9 @@ class Still(NamedTuple):
 
 
 def read_image(path: Path) -> Image:
-    """(H, W[, 3]) grey or BGR first picture in a file; InputError where there is none."""
+    """(H, W[, 3]) grey or BGR picture in a file that has one and no other; InputError otherwise."""
     try:
-        return read_still(path.read_bytes()).image
+        return decode_encoded(path.read_bytes())
     except OSError as error:
         raise InputError(f"cannot read '{path}' ({error.strerror}): give an image file") from error
     except UndecodableError as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from airline import AirLine
 from airline.errors import InputError
@@ -155,6 +156,13 @@ def test_the_command() -> None:
 )
 def test_what_cannot_be_used(arguments: str, said: str) -> None:
     assert said in refusal(*arguments.split(), main=main)
+
+
+def test_an_animation_is_not_taken_for_its_first_picture(tmp_path):
+    pictures = [Image.fromarray(np.full((24, 32), shade, np.uint8)) for shade in (10, 200)]
+    pictures[0].save(tmp_path / "two.gif", save_all=True, append_images=pictures[1:])
+    pictures[0].save(tmp_path / "one.gif")
+    assert "animated" in refusal(tmp_path / "two.gif", tmp_path / "one.gif", main=main)
 
 
 def test_views_of_a_plane_are_measured(tmp_path: Path) -> None:
