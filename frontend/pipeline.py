@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+Edges = tuple[NDArray[np.float32], Gray, float]  # of `AirLine.detect_edges`
+
 
 def run_pipeline(
     source: Source,
@@ -164,21 +166,25 @@ class LineFrontend:
         """Detect and track in the next frame of a stream."""
         return self._track(self._trace(self._detect(frame)))
 
-    def _detect(self, frame: Frame) -> tuple[Frame, NDArray[np.float32], Gray, float]:
-        return frame, *self.detector.detect_edges(frame.gray)
+    def _detect(self, frame: Frame) -> tuple[Frame, list[Edges]]:
+        return frame, [
+            self.detector.detect_edges(image) for image in (frame.gray, frame.right_gray) if image is not None
+        ]
 
-    def _trace(self, detected: tuple[Frame, NDArray[np.float32], Gray, float]) -> tuple[Frame, Trace]:
-        frame, edges, gray, edges_ms = detected
-        return frame, self.detector.trace_edges(edges, gray, edges_ms)
+    def _trace(self, detected: tuple[Frame, list[Edges]]) -> tuple[Frame, Trace, Trace | None]:
+        frame, (left, *right) = detected
+        trace = self.detector.trace_edges(*left)
+        return frame, trace, self.detector.trace_edges(*right[0]) if right else None
 
-    def _track(self, traced: tuple[Frame, Trace]) -> FrameResult:
-        frame, trace = traced
+    def _track(self, traced: tuple[Frame, Trace, Trace | None]) -> FrameResult:
+        frame, trace, right = traced
         started = time.perf_counter()
-        tracks = self.tracker.update(frame, trace.lines, trace.edges)
+        tracks = self.tracker.update(frame, trace.lines, trace.edges, right)
         done = time.perf_counter()
         spent = {**trace.stage_ms, "track": 1e3 * (done - started)}
         latency_s = done - frame.read_s
-        return FrameResult(frame, trace, tracks, spent, 1e3 * latency_s, time.time_ns() - round(1e9 * latency_s))
+        read_ns = time.time_ns() - round(1e9 * latency_s)
+        return FrameResult(frame, trace, tracks, spent, 1e3 * latency_s, read_ns, right)
 
 
 def _checked(source: Source) -> Source:

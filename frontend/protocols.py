@@ -22,6 +22,7 @@ class FrameResult:
         stage_ms: milliseconds per stage of the whole pipeline.
         latency_ms: milliseconds from when the frame had been read to when its tracks were known.
         read_ns: wall-clock time (`time.time_ns`) when the frame had been read, 0 where nobody noted it.
+        right: as `trace`, of the frame's right image; None without one.
     """
 
     frame: Frame
@@ -30,6 +31,7 @@ class FrameResult:
     stage_ms: Mapping[str, float]
     latency_ms: float = 0.0
     read_ns: int = 0
+    right: Trace | None = None
 
 
 class Source:
@@ -44,6 +46,7 @@ class Source:
         skipped: frames so far that could not be read.
         dropped: frames so far for which there was no time.
         reconnects: how often the stream was lost and came back.
+        unpaired: of a stereo source, frames so far of the left and of the right camera without one of the other.
         kind: for people, what the input was taken for.
         codec: for people, how its pictures are stored; empty where nobody knows.
         orientation: for people, how its pictures were turned upright, if they were.
@@ -69,6 +72,8 @@ class Source:
         @property
         def reconnects(self) -> int: ...
         @property
+        def unpaired(self) -> tuple[int, int]: ...
+        @property
         def kind(self) -> str: ...
         @property
         def codec(self) -> str: ...
@@ -87,6 +92,7 @@ class Source:
         name, kind, codec, orientation = "source", "frames", "", "as stored"
         live = False
         skipped = dropped = reconnects = 0
+        unpaired = (0, 0)
         frame_count = first_stamp_ns = last_stamp_ns = calibration = None
         notes = ()
 

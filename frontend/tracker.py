@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 from airline.image import to_uint8
 from airline.lines import LineSet
+from airline.trace import Trace
 from frontend.frame import Frame
 from frontend.history import Confirmations
+from frontend.stereo.partners import PartnerFinder
 from frontend.tracking.camera_motion import Motion
 from frontend.tracking.config import TrackerConfig
 from frontend.tracking.correction import corrected
@@ -51,6 +53,7 @@ class LineTracker:
         self.config = config or TrackerConfig()
         self._selection = Selection(self.config.max_lines)
         self._points = PointTracker() if self.config.points else None
+        self._partners = PartnerFinder()
         self._next_id = 0
         self._tracks: TrackTable | None = None
         self._image: WorkingImage | None = None
@@ -59,13 +62,16 @@ class LineTracker:
         self._motion = Motion()
         self._confirmations = Confirmations()
 
-    def update(self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None) -> LineTracks:
+    def update(
+        self, frame: Frame, lines: LineSet, edges: NDArray[np.float32] | None = None, right: Trace | None = None
+    ) -> LineTracks:
         """Take the lines of the next frame and return the tracks that were seen in it.
 
         Args:
             frame: the image, in time order.
             lines: its detected lines.
             edges: (H, W) float32 edge probability of the image, on which tracks without a line are looked for.
+            right: the detector's results for `frame.right`, in which the tracks' partners are looked for.
 
         Raises:
             InputError: lines that are not finite, or edges of another type, or of another size than the image's.
@@ -112,7 +118,10 @@ class LineTracker:
             if not blind:
                 point_ids, points = self._points.update(gray, image, camera, motion)
                 found = replace(found, point_ids=point_ids, points_px=points)
-        return self._confirmations.add(self._selection.of(found, size))
+        found = self._selection.of(found, size)
+        if right is not None:
+            found = self._partners.update(found, frame, right)
+        return self._confirmations.add(found)
 
     def _reset_reason(self, stamp_ns: int, size: tuple[int, int]) -> str | None:
         if self._tracks is None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from frontend.camera.lines import coefficients, covariances_on_plane, normals
 from frontend.camera.model import CameraModel
+from frontend.stereo.disparity import disparities, in_metres
 
 Int64: TypeAlias = NDArray[np.int64]
 Int32: TypeAlias = NDArray[np.int32]
@@ -27,8 +28,14 @@ class TrackState(IntEnum):
     CONFIRMED = 1
 
 
-ROWS = {"seen": ("N", "ids"), "lost": ("L", "lost_ids"), "ended": ("E", "ended_ids"), "points": ("P", "point_ids")}
-"""Whose rows an array has: the letter of its first axis, and the field that says how many there are."""
+ROWS = {
+    **{"seen": ("N", "ids"), "right": ("N", "right_hits")},
+    **{"lost": ("L", "lost_ids"), "ended": ("E", "ended_ids"), "points": ("P", "point_ids")},
+}
+"""Whose rows an array has: the letter of its first axis, and the field that says how many there are.
+
+Arrays of the right image have those of the tracks seen, in the same order, and without a right image none.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,8 @@ class Field:
         shape: of a row; (-1,) is any length, the same for all rows of a frame.
         columns: names in Parquet and CSV, one for each number of a row; by default the field's name. A name that comes
             twice is the same number. Rows of any length, and those of lost and ended tracks, are one column.
-        rows: whose: tracks seen in the frame (N), lost (L) or ended (E), or points (P).
+        rows: whose: tracks seen in the frame (N), their partners in the right image (N, or 0 without one), lost (L) or
+            ended (E), or points (P).
         older: what stands for it in files from before it was there; None: all files have it.
         words: what tables have in place of the numbers 0, 1, ...
         name: of the attribute. It and the dtype come from the declaration.
@@ -52,7 +60,7 @@ class Field:
     unit: str = ""
     shape: tuple[int, ...] = ()
     columns: str = ""
-    rows: Literal["seen", "lost", "ended", "points"] = "seen"
+    rows: Literal["seen", "right", "lost", "ended", "points"] = "seen"
     older: float | None = None
     words: tuple[str, ...] = ()
     name: str = ""
@@ -149,6 +157,34 @@ class LineTracks:
         Int32, Field("row of the detection among the frame's lines, -1 if measured", columns="line_index")
     ]
     fragment_of: Annotated[Int64, Field("track whose line broke and left this piece, -1 for whole lines")]
+    right_px: Annotated[
+        Float32,
+        Field(
+            "its partner as measured in the right image, in the same direction; NaN where there is none",
+            "px",
+            (2, 2),
+            _ends("right_"),
+            "right",
+            older=np.nan,
+        ),
+    ] = field(default_factory=_no_segments)
+    right_covariances: Annotated[
+        Float32,
+        Field(
+            "of the partner's errors, as covariances",
+            unit="px^2, px rad, px rad, rad^2",
+            shape=(2, 2),
+            columns="right_var_offset right_cov_offset_angle right_cov_offset_angle right_var_angle",
+            rows="right",
+            older=np.nan,
+        ),
+    ] = field(default_factory=_no_segments)
+    right_hits: Annotated[
+        Int32, Field("frames in a row, this one the last, in which it had a partner; 0 now none", rows="right", older=0)
+    ] = field(default_factory=lambda: np.zeros(0, np.int32))
+    right_measured: Annotated[
+        Bool, Field("the partner was not detected, but found on the edge map", rows="right", older=False)
+    ] = field(default_factory=lambda: np.zeros(0, np.bool_))
     lost_ids: Annotated[Int64, Field("confirmed track that is not seen now and still looked for", rows="lost")] = field(
         default_factory=_no_ids
     )
@@ -217,6 +253,51 @@ class LineTracks:
         return None if self.camera is None else self.camera.normalize(self.points_px)
 
     @cached_property
+    def _in_both(self) -> tuple[Float32, Float32, Bool] | None:
+        if not len(self.right_hits) and len(self):
+            return None
+        lines = self.observed_px, self.observed_covariances, self.right_px, self.right_covariances
+        return disparities(*lines, 0.0 if self.camera is None else self.camera.disparity_offset)
+
+    @property
+    def disparity_px(self) -> Float32 | None:
+        """(N, 2) float32 px, x of both ends of `observed_px` minus x of the partner in their rows.
+
+        NaN without a partner and where it runs along the rows; None without a right image.
+        """
+        return None if self._in_both is None else self._in_both[0]
+
+    @property
+    def disparity_covariances(self) -> Float32 | None:
+        """(N, 2, 2) float32 px^2, of the errors of `disparity_px`."""
+        return None if self._in_both is None else self._in_both[1]
+
+    @property
+    def depth_known(self) -> Bool | None:
+        """(N,) mask of those whose disparities tell how far away both ends are."""
+        return None if self._in_both is None else self._in_both[2]
+
+    @cached_property
+    def _in_space(self) -> tuple[Float32, Float32] | None:
+        if self._in_both is None or self.camera is None or not self.camera.baseline_m:
+            return None
+        lines = self.observed_px, self.observed_covariances, self.right_px, self.right_covariances
+        return in_metres(*lines, self._in_both[2], self.camera)
+
+    @property
+    def segments_m(self) -> Float32 | None:
+        """(N, 2, 3) float32 m, the ends of `observed_px` in the left camera's frame (x right, y down, z forward).
+
+        NaN where `depth_known` says so; None without a right image or its calibration.
+        """
+        return None if self._in_space is None else self._in_space[0]
+
+    @property
+    def segments_m_covariances(self) -> Float32 | None:
+        """(N, 6, 6) float32 m^2, of the errors of `segments_m`: those across the line alone, so its rank is 4."""
+        return None if self._in_space is None else self._in_space[1]
+
+    @cached_property
     def _on_plane(self) -> Float32 | None:
         """(4, N, 2, 2) fused, observed, and these moved across by half a pixel: one call takes half the time of two."""
         if self.camera is None:
@@ -236,13 +317,14 @@ class LineTracks:
         parts = []
         for frame, rows in self.earlier:
             own = rows[np.isin(frame.ids[rows], self.ids)]
-            arrays = {f.name: getattr(frame, f.name)[own if f.rows == "seen" else slice(0)] for f in FIELDS}
-            parts.append(replace(frame, **arrays, reset=None))
+            none = {f.name: getattr(frame, f.name)[:0] for f in FIELDS if f.rows not in ("seen", "right")}
+            parts.append(replace(frame.take(own), **none, reset=None))
         return tuple(part for part in parts if len(part))
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> LineTracks:
         """Some of the seen tracks; lost and ended ones stay, and points."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in FIELDS if f.rows == "seen"})
+        kinds = ("seen", "right") if len(self.right_hits) else ("seen",)
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in FIELDS if f.rows in kinds})
 
 
 def _declared() -> tuple[Field, ...]:
@@ -258,8 +340,8 @@ def _declared() -> tuple[Field, ...]:
 FIELDS = _declared()
 
 
-def _derived(name: str, meaning: str, **form: Any) -> Field:
-    return Field(meaning, name=name, dtype=np.dtype(np.float32), **form)
+def _derived(name: str, meaning: str, dtype: type = np.float32, **form: Any) -> Field:
+    return Field(meaning, name=name, dtype=np.dtype(dtype), **form)
 
 
 DERIVED = (  # follow from the others where the camera is known
@@ -295,5 +377,38 @@ DERIVED = (  # follow from the others where the camera is known
         shape=(2,),
         columns="point_u point_v",
         rows="points",
+    ),
+    _derived(
+        "disparity_px",
+        "x of both ends of the observed line minus x of its partner in their rows; NaN where it runs along these",
+        unit="px",
+        shape=(2,),
+        columns="disparity_0 disparity_1",
+        rows="right",
+    ),
+    _derived(
+        "disparity_covariances",
+        "of the errors of disparity_px",
+        unit="px^2",
+        shape=(2, 2),
+        columns="disparity_var_0 disparity_cov disparity_cov disparity_var_1",
+        rows="right",
+    ),
+    _derived("depth_known", "its disparities tell how far away both ends are", np.bool_, rows="right"),
+    _derived(
+        "segments_m",
+        "the observed line in space, in the left camera's frame; NaN where its depth is not known",
+        unit="m",
+        shape=(2, 3),
+        columns="X0 Y0 Z0 X1 Y1 Z1",
+        rows="right",
+    ),
+    _derived(
+        "segments_m_covariances",
+        "of the errors of segments_m: those across the line alone, so its rank is 4",
+        unit="m^2",
+        shape=(6, 6),
+        columns=" ".join(f"cov_{min(j, k)}{max(j, k)}_m2" for j in range(6) for k in range(6)),
+        rows="right",
     ),
 )

@@ -46,6 +46,10 @@ class CameraModel:
         distortion: "none", "radial-tangential" (k1, k2, p1, p2[, k3[, k4, k5, k6]]: OpenCV, ROS plumb_bob and
             rational_polynomial) or "equidistant" (k1..k4: the Kannala-Brandt fisheye of OpenCV and Kalibr).
         coefficients: (K,) float64 of the distortion in that order.
+        rig_from_camera: (4, 4) float64 rigid motion, m, from the camera's frame to one that it shares with the other
+            cameras of its calibration; None where that is not known.
+        baseline_m: how far the second camera of a rectified pair lies to the right of this one, m; 0 where it is none.
+        disparity_offset: cx minus the second camera's, px: the disparity of points at infinity.
     """
 
     width: int
@@ -56,6 +60,9 @@ class CameraModel:
     cy: float
     distortion: Distortion = "none"
     coefficients: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    rig_from_camera: NDArray[np.float64] | None = field(default=None, kw_only=True, compare=False, repr=False)
+    baseline_m: float = field(default=0.0, kw_only=True)
+    disparity_offset: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.distortion not in COUNTS:
@@ -108,7 +115,16 @@ class CameraModel:
         """The same camera for images resized to width x height px."""
         sx, sy = width / self.width, height / self.height
         cx, cy = scale_points(self.cx, sx), scale_points(self.cy, sy)
-        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=cx, cy=cy)
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=cx,
+            cy=cy,
+            disparity_offset=self.disparity_offset * sx,
+        )
 
 
 def lens(model: str, coefficients: Sequence[float]) -> tuple[Distortion, NDArray[np.float64]]:

@@ -35,7 +35,7 @@ class WrappedSource(Source):
         self._source.close()
 
 
-_COUNTS = ("frame_count", "skipped", "dropped", "reconnects", "first_stamp_ns", "last_stamp_ns")
+_COUNTS = ("frame_count", "skipped", "dropped", "reconnects", "unpaired", "first_stamp_ns", "last_stamp_ns")
 _WORDS = ("name", "live", "kind", "codec", "orientation", "notes", "calibration")
 for _name in (*_COUNTS, *_WORDS):
     setattr(WrappedSource, _name, property(attrgetter(f"_source.{_name}")))

@@ -48,6 +48,8 @@ class Camera(msgspec.Struct):
     cy: float
     distortion: Literal["none", "radial-tangential", "equidistant"]
     coefficients: list[float]
+    baseline_m: float = 0.0
+    disparity_offset: float = 0.0
 
     @classmethod
     def of(cls, camera: CameraModel | None) -> Camera | None:
@@ -55,12 +57,18 @@ class Camera(msgspec.Struct):
         if camera is None:
             return None
         fx, fy, cx, cy, *coefficients = map(float, (camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients))
-        return cls(int(camera.width), int(camera.height), fx, fy, cx, cy, camera.distortion, coefficients)
+        pair = float(camera.baseline_m), float(camera.disparity_offset)
+        return cls(int(camera.width), int(camera.height), fx, fy, cx, cy, camera.distortion, coefficients, *pair)
 
     def model(self) -> CameraModel:
         """The camera; raises ConfigError where the numbers make none."""
         fields = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion)
-        return CameraModel(*fields, np.array(self.coefficients, np.float64))
+        return CameraModel(
+            *fields,
+            np.array(self.coefficients, np.float64),
+            baseline_m=self.baseline_m,
+            disparity_offset=self.disparity_offset,
+        )
 
 
 def assembled(
