@@ -22,8 +22,6 @@ MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends
 MAX_ERROR = 1.0  # px, standard deviation of a disparity that tells a depth,
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
 
-COMMON = 1.0
-BIAS = 0.12
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
 
