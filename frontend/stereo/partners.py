@@ -159,12 +159,10 @@ def _chosen(
         segments: (N, 2, 2) the left lines.
         known: (N,) mask of those that had a partner in the last frame, which are not in doubt.
     """
-    middles, raised = segments.mean(axis=1), votes
-    for _ in range(2):
-        chosen = assign(raised, MIN_VOTE)
-        sure = np.flatnonzero((chosen >= 0) & (known | (rivals(raised, disparities, chosen, APART) < SURE)))
-        theirs = disparities[sure, chosen[sure]].mean(axis=1)
-        raised = supported(votes, disparities, middles, theirs, middles[sure], NEAREST, REACH)
+    chosen, middles = assign(votes, MIN_VOTE), segments.mean(axis=1)
+    sure = np.flatnonzero((chosen >= 0) & (known | (rivals(votes, disparities, chosen, APART) < SURE)))
+    theirs = disparities[sure, chosen[sure]].mean(axis=1)
+    raised = supported(votes, disparities, middles, theirs, middles[sure], NEAREST, REACH)
     chosen = assign(raised, MIN_VOTE)
     doubt = ~known & (rivals(raised, disparities, chosen, APART) >= SURE_ENOUGH)
     return np.where(doubt, -1, chosen).astype(np.int32)

@@ -229,18 +229,23 @@ def rivals(votes, disparities, chosen, apart):  # type: ignore[no-untyped-def]
 
     Disparities that differ by less than `apart` px are one. 1 for lines without a choice.
     """
+    best, owner = np.zeros(len(votes)), np.full(votes.shape[1], -1)
+    for i in range(len(votes)):
+        if chosen[i] >= 0:
+            owner[chosen[i]] = i
+    for i in range(len(votes)):
+        for j in range(votes.shape[1]):
+            vote = votes[i, j]
+            if vote <= 0:
+                continue
+            here = disparities[i, j, 0] + disparities[i, j, 1]
+            for k in (i, owner[j]):  # whose line, or whose partner, this pair would take
+                if k < 0 or vote <= best[k] or chosen[k] < 0:
+                    continue
+                if abs(disparities[k, chosen[k], 0] + disparities[k, chosen[k], 1] - here) > 2 * apart:
+                    best[k] = vote
     share = np.ones(len(votes))
     for i in range(len(votes)):
-        j = chosen[i]
-        if j < 0:
-            continue
-        own = disparities[i, j, 0] + disparities[i, j, 1]
-        best = 0.0
-        for k in range(votes.shape[1]):
-            if votes[i, k] > best and abs(disparities[i, k, 0] + disparities[i, k, 1] - own) > 2 * apart:
-                best = votes[i, k]
-        for k in range(len(votes)):
-            if votes[k, j] > best and abs(disparities[k, j, 0] + disparities[k, j, 1] - own) > 2 * apart:
-                best = votes[k, j]
-        share[i] = best / votes[i, j]
+        if chosen[i] >= 0:
+            share[i] = best[i] / votes[i, chosen[i]]
     return share
