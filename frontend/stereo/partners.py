@@ -63,9 +63,8 @@ class PartnerFinder:
         last, hits = self._remembered(tracks.ids)
         ranges = self._ranges(last, infinity, images[0].shape[1])
         ours = LineFeatures(tracks.observed_px, tracks.descriptors, side_profiles(images[0], tracks.observed_px))
-        theirs = LineFeatures(
-            right.lines.segments, right.lines.descriptors, np.zeros((len(right.lines), 0), np.float32)
-        )
+        segments = right.lines.segments
+        theirs = LineFeatures(segments, right.lines.descriptors, side_profiles(images[1], segments))
         votes, disparities = partner_votes(images, (ours, theirs), ranges, _gain(*images))
         chosen = _chosen(votes, disparities, ours.segments, ~np.isnan(last[:, 0]))
         self._check_sides(disparities[np.arange(len(chosen)), chosen][chosen >= 0] - infinity)
