@@ -338,6 +338,20 @@ def test_flags_that_do_not_go_together(kitti: Path, flags: str, said: str) -> No
     assert re.search(said, refusal(*flags.format(kitti).split(), "--headless"))
 
 
+def test_bare_rows_and_what_may_be_the_left_cameras_alone(tmp_path: Path) -> None:
+    for name in ("images", "images_right"):
+        pictures(tmp_path / name)
+    row = "60 0 31.5 {} 0 60 23.5 0 0 0 1 0\n"
+    file = rigs.write(tmp_path / "calib.txt", row.format(0) + row.format(-30))
+    done = command(tmp_path, "--stereo", "--info")
+    assert "row 1 of" in done.out
+    assert "row 2 of" in done.out
+    assert "baseline 0.5 m" in done.out
+    file.unlink()
+    rigs.write(tmp_path / "calib.yaml", "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5}")
+    assert "where the two cameras are" in refusal(tmp_path, "--stereo", "--info")
+
+
 def test_two_halves_by_the_command_line(kitti: Path) -> None:
     pictures(kitti / "joined", width=128)
     done = command(kitti / "joined", "--side-by-side", "--calib", kitti / "calib.txt", "--info")
