@@ -17,14 +17,16 @@ _ANY = tuple(
     for stem in ("calib", "calibration", "camera", "camera_info", "intrinsics", "ost")
     for suffix in ("yaml", "yml", "json", "txt")
 ) + ("camchain*.yaml", "*-camchain.yaml", "calibration_matrix.txt", "sensor.yaml")
+_RIGHT = re.compile(r"(images?_)?(r|right)$")
 _LAYOUTS = (  # name of the folder with the images, how far up from there to go, and what to look for
     (r".*", 0, _ANY),
     (r"data", 1, ("sensor.yaml",)),  # EuRoC: cam0/data
     (r"data", 3, ("dso/camchain.yaml", "calib_cam_to_cam.txt")),  # TUM VI: mav0/cam0/data; KITTI: DRIVE/image_00/data
     (r"image_\d", 1, ("calib.txt",)),  # KITTI's odometry
+    (r"(images?_)?(l|left|r|right)", 1, _ANY),  # of a pair, in one file
     (r"cam\d", 1, ("camchain*.yaml", "*-camchain.yaml")),
     (r"colou?r", 1, ("intrinsic/intrinsic_color.txt",)),  # ScanNet
-    (r"images?|rgb|colou?r|frames|left|cam0", 1, _ANY),  # of one camera: TUM, ICL-NUIM, ETH3D
+    (r"images?|rgb|colou?r|frames|cam0", 1, _ANY),  # of one camera: TUM, ICL-NUIM, ETH3D
 )
 
 
@@ -46,6 +48,9 @@ def find_calibration(images: Path) -> Calibration | None:
     try:
         file = calibration_beside(images)
         found = None if file is None else read_calibration(file, images)
+        own = file is not None and (images / file.name).is_file()
+        if found is not None and found.number is None and not own and _RIGHT.match(images.name):
+            return None  # of one camera, which may be the left one
         if found is not None and found.camera.distortion != "none" and says_rectified(images):
             raise InputError(f"'{file}' has a lens, and by their folder's name the images are rectified")
         return found
