@@ -164,8 +164,7 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
 
 def _joined(frames: list[LineTracks]) -> LineTracks:
     """Frames of one camera as one, for what is derived: lenses take the points of many as fast as those of one."""
-    inputs = ("ids", "segments_px", "observed_px", "observed_covariances")
-    inputs += ("right_px", "right_covariances", "right_hits")
+    inputs = ["ids", "segments_px", "observed_px", "observed_covariances", *_RIGHT]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in frames]) for name in inputs}
     return replace(frames[0], **arrays)
 
@@ -299,7 +298,7 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
 
 
 def _numbers(column: pa.Array, known: NDArray[np.bool_] | bool = True) -> NDArray[Any]:
-    if column.null_count:
+    if column.null_count or known is not True:
         if (column.is_valid().to_numpy(zero_copy_only=False) != known).any():
             raise InputError(f"{_DAMAGED}: numbers are missing")
         column = column.fill_null(pa.scalar(0).cast(column.type))

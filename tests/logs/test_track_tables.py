@@ -17,7 +17,7 @@ from frontend.tracks import DERIVED
 from logs.read import read_tracks
 from logs.sinks.open import check
 from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
-from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
+from logs.tracks.table import FRAME_COLUMNS, RIGHT_COLUMNS, SCHEMA, TableNotes
 from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, write_all
 
 
@@ -101,7 +101,7 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
         rows = list(csv.DictReader(file))
     table = pq.read_table(path)
     descriptors = {f"d{k}" for k in range(6)}
-    assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS}) | descriptors
+    assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS, *RIGHT_COLUMNS}) | descriptors
     typed = pa.csv.read_csv(tmp_path / "t.csv")
     for name in {"measured", "stable"}:  # true and false, which pandas takes for a mask
         assert typed[name].equals(table[name])
