@@ -143,12 +143,12 @@ class CsvTrackSink:
     """Writes each frame's tracks into a CSV file, one line per observation; a `Sink`.
 
     The columns are those of the Parquet file, with the descriptor as d0, d1, ... and without what belongs to a whole
-    frame. What a right image tells has columns where the first frame with lines has one; later frames without one have
-    NaN, 0 and false there, and where there are no such columns `close` warns of the partners that are left out. Floats have the shortest text that reads back as the same float32, always with a point or an exponent, and
-    NaN where there is none: whatever stands in the first lines, readers that guess types find the right ones. All
-    frames, those without lines too, are listed in NAME.frames.csv, with their number of lines and the reason of a
-    reset; points in NAME.points.csv, where there are any. Neither is written where the file is a pipe or device, and
-    `close` warns of the points.
+    frame. Those of a right image are there where the first frame with lines has one: later frames without have NaN, 0
+    and false, and of partners that come later `close` warns, which are left out. Floats have the shortest text that
+    reads back as the same float32, always with a point or an exponent, and NaN where there is none: whatever stands in
+    the first lines, readers that guess types find the right ones. All frames, those without lines too, are listed in
+    NAME.frames.csv, with their number of lines and the reason of a reset; points in NAME.points.csv, where there are
+    any. Neither is written where the file is a pipe or device, and `close` warns of the points.
     Arguments and errors are those of `OutputFile`.
     """
 

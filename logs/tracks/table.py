@@ -1,7 +1,8 @@
 """Tracked lines as a table: one row per observation, and back to `LineTracks`, exactly.
 
 What belongs to a frame rather than to one of its observations stands in the first row of the frame and is null in the
-others. What the right image tells is null in the rows of frames without one. Frames without any row, and the cameras, do not fit a table: `TableNotes` holds them, as JSON in the metadata.
+others; what a right image tells is null in the rows of frames without one. Frames without any row, and the cameras, do
+not fit a table: `TableNotes` holds them, as JSON in the metadata.
 """
 
 from __future__ import annotations

@@ -140,7 +140,11 @@ def test_files_from_before_a_field_have_what_stands_for_it(tmp_path: Path) -> No
     ]
     expected = [
         replace(
-            t, **{f.name: np.full_like(getattr(t, f.name), f.older)[: 0 if f.rows in ("points", "right") else None] for f in later}
+            t,
+            **{
+                f.name: np.full_like(getattr(t, f.name), f.older)[: 0 if f.rows in ("points", "right") else None]
+                for f in later
+            },
         )
         for t in stream
     ]
