@@ -106,6 +106,7 @@ def test_what_is_no_message_or_was_cut_is_refused(data: bytes) -> None:
         (with_array("scores", shape=[4], data=bytes(16)), r"'scores': it is <f4 \[4\], not <f4 \[3\]"),
         (with_array("segments_px", shape=[3, 4]), "'segments_px': it is"),
         (with_array("descriptors", shape=[3, 2**31 - 1]), "'descriptors': it has"),
+        (with_array("right_hits", shape=[2], data=bytes(8)), "'right_px': it is|only some of its tracks"),
         (with_array("states", data=b"\0\1\2"), "unknown state"),
         (with_array("lost_segments_px", shape=[1, 2, 2], data=bytes(16)), "'lost_segments_px'"),
         (with_array("ended_ids", shape=[-1]), ">= 0"),
