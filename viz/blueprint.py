@@ -38,11 +38,10 @@ def layout(
         baseline_m: of two cameras without poses, whose lines in space are seen from behind them; 0 for a view of all.
     """
     below = ["/camera/image"] if image else []
-    tracks: rrb.View | rrb.Container = _camera_view(
-        f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", *below, *CLEAN
-    )
+    title, parts = f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", CLEAN
     if kind == "full":
-        tracks = _camera_view(f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", *below, *REST, *CLEAN)
+        title, parts = f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", (*REST, *CLEAN)
+    tracks: rrb.View | rrb.Container = _camera_view(title, *below, *parts)
     if right:
         names = ["/right/image"] * image + ["/right/tracks/rest"] * (kind == "full") + ["/right/tracks"]
         tracks = rrb.Horizontal(tracks, _camera_view(PARTNERS, *names))

@@ -108,16 +108,14 @@ class TrackLog:
         colours = track_colours(ids)
         fragments = tracks.fragment_of[rows] >= 0
         colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-        measured = tracks.measured[rows]
-        log_lines(
-            self._stream, f"{self._root}/{name}", tracks.segments_px[rows], colours, radii, ids, measured=measured
-        )
+        entity, measured = f"{self._root}/{name}", tracks.measured[rows]
+        log_lines(self._stream, entity, tracks.segments_px[rows], colours, radii, ids, measured=measured)
         if self._right:
             seen = np.isin(rows, np.flatnonzero(tracks.right_hits))
-            radii = np.broadcast_to(radii, len(rows))[seen]
+            entity, radii = f"{RIGHT}/{name}", np.broadcast_to(radii, len(rows))[seen]
             rows, colours, ids = rows[seen], colours[seen], ids[seen]
             measured = tracks.right_measured[rows]
-            log_lines(self._stream, f"{RIGHT}/{name}", tracks.right_px[rows], colours, radii, ids, measured=measured)
+            log_lines(self._stream, entity, tracks.right_px[rows], colours, radii, ids, measured=measured)
 
 
 class _Best:
@@ -243,7 +241,7 @@ def log_lines_3d(
 
 
 def pinhole(camera: CameraModel) -> rr.Pinhole:
-    """The camera at `/camera`: only the intrinsics, as Rerun has no lens distortion; of a pair not to hide its lines."""
+    """The camera at `/camera`: intrinsics alone, as Rerun has no lens distortion; of a pair, so small that it hides no line."""
     return rr.Pinhole(
         focal_length=(camera.fx, camera.fy),
         principal_point=(camera.cx + float(CORNER), camera.cy + float(CORNER)),

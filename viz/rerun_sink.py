@@ -47,7 +47,7 @@ class RerunSink:
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
-        image: how the camera's image is logged; "video" logs the input file once, without stages, tails and right image.
+        image: how the camera's image is logged; "video" logs the input file once, and no stages, tails or right image.
         video: that file, or the packets of a log's video.
         blueprint: how the viewer lays it out.
         every: log every so many frames; resets and warnings are always logged.
@@ -264,8 +264,8 @@ class RerunSink:
         if self._layer:
             return
         has = {"space": self._space is not None, "image": self._image != "none", "stages": self._stages}
-        stereo = {"right": self._right, "baseline_m": self._baseline_m}
-        send_blueprint(self._stream, layout(self._blueprint, self._size, **has, **stereo))
+        shown = layout(self._blueprint, self._size, right=self._right, baseline_m=self._baseline_m, **has)
+        send_blueprint(self._stream, shown)
 
 
 class WarningLog(logging.Handler):
