@@ -38,9 +38,9 @@ def layout(
         baseline_m: of two cameras without poses, whose lines in space are seen from behind them; 0 for a view of all.
     """
     below = ["/camera/image"] if image else []
-    title, parts = f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", CLEAN
+    title, parts = f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", [*CLEAN]
     if kind == "full":
-        title, parts = f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", (*REST, *CLEAN)
+        title, parts = f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", [*REST, *CLEAN]
     tracks: rrb.View | rrb.Container = _camera_view(title, *below, *parts)
     if right:
         names = ["/right/image"] * image + ["/right/tracks/rest"] * (kind == "full") + ["/right/tracks"]

@@ -241,13 +241,13 @@ def log_lines_3d(
 
 
 def pinhole(camera: CameraModel) -> rr.Pinhole:
-    """The camera at `/camera`: intrinsics alone, as Rerun has no lens distortion; of a pair, so small that it hides no line."""
+    """The camera at `/camera`: only the intrinsics, as Rerun has no lens distortion."""
     return rr.Pinhole(
         focal_length=(camera.fx, camera.fy),
         principal_point=(camera.cx + float(CORNER), camera.cy + float(CORNER)),
         width=camera.width,
         height=camera.height,
-        image_plane_distance=2 * camera.baseline_m or 0.5,
+        image_plane_distance=2 * camera.baseline_m or 0.5,  # before all lines of a pair
     )
 
 
