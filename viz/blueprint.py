@@ -37,6 +37,8 @@ def layout(
         right: whether it has a right image, which goes beside the left one.
         baseline_m: of two cameras without poses, whose lines in space are seen from behind them; 0 for a view of all.
     """
+    aspect = size[0] / size[1] if size else 4 / 3
+    wide = aspect >= WIDE
     below = ["/camera/image"] if image else []
     title, parts = f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", [*CLEAN]
     if kind == "full":
@@ -44,7 +46,8 @@ def layout(
     tracks: rrb.View | rrb.Container = _camera_view(title, *below, *parts)
     if right:
         names = ["/right/image"] * image + ["/right/tracks/rest"] * (kind == "full") + ["/right/tracks"]
-        tracks = rrb.Horizontal(tracks, _camera_view(PARTNERS, *names))
+        pair = rrb.Vertical if wide and kind == "minimal" else rrb.Horizontal
+        tracks = pair(tracks, _camera_view(PARTNERS, *names))
     counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="LeftTop"))
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     log = rrb.TextLogView(origin="/log", name="Log", columns=columns)
@@ -54,11 +57,9 @@ def layout(
     times = _plot("time_ms", "Time per stage (ms)", rrb.PlotLegend(corner="LeftTop"))
     figures = rrb.Horizontal(counts, times, length, log, column_shares=[3, 3, 2, 2])
     if right:
-        partners = _plot("partners", "Confirmed tracks with a partner", rrb.PlotLegend(corner="LeftTop"))
+        partners = _plot("partners", "With a partner", rrb.PlotLegend(corner="LeftTop"))
         figures = rrb.Horizontal(counts, times, length, partners, log, column_shares=[3, 3, 2, 2, 2])
     views: list[rrb.View | rrb.Container] = [_space_view(baseline_m)] if space else []
-    aspect = size[0] / size[1] if size else 4 / 3
-    wide = aspect >= WIDE
     if stages:
         pictures = [
             _camera_view("Edges", "/camera/edges"),

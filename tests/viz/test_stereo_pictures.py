@@ -10,13 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from frontend.colours import track_colours
 from frontend.protocols import FrameResult
 from tests.helpers.command import EVERY_FRAME, command, curve, recorded
 from tests.helpers.moving_rectangle import CAMERA, HEIGHT, WIDTH, frame_results, rectangle
 from tests.helpers.viewer import FRAMES, TRACKS, contents_of_views, names_of_views, needs_viewer, record
-from viz.blueprint import PARTNERS
+from viz.blueprint import PARTNERS, layout
 from viz.lines import THIN_RADIUS
 from viz.overlay import write_film
 from viz.recording import BACKGROUND, Recording
@@ -108,13 +109,15 @@ def test_lines_in_metres_move_with_the_camera(tmp_path, early):
 def test_layouts_have_both_images(path, rows, tmp_path):
     views = contents_of_views(path)
     assert views[PARTNERS] == {"/right/image", "/right/tracks"}
-    assert {TRACKS, "Space", "Confirmed tracks with a partner", "Edges"} < views.keys()
+    assert {TRACKS, "Space", "With a partner", "Edges"} < views.keys()
     record(tmp_path / "full.rrd", pairs(1), blueprint="full")
     assert contents_of_views(tmp_path / "full.rrd")[PARTNERS] == {"/right/image", "/right/tracks", "/right/tracks/rest"}
     record(tmp_path / "minimal.rrd", pairs(1), blueprint="minimal", image="none")
     views = contents_of_views(tmp_path / "minimal.rrd")
     assert views.keys() == {TRACKS, PARTNERS, "Lines per frame", "Log"}
     assert views[PARTNERS] == {"/right/tracks"}
+    wide = {kind: layout(kind, (1241, 376), right=True).root_container.contents[0] for kind in ("minimal", "default")}
+    assert (type(wide["minimal"]), type(wide["default"])) == (rrb.Vertical, rrb.Horizontal)
 
 
 def test_without_calibration_there_are_partners_and_no_metres(tmp_path):
