@@ -57,6 +57,13 @@ def build_parser() -> Parser:
         metavar="DIR",
         help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
     )
+    parser.add_argument(
+        "--stereo",
+        type=Path,
+        nargs="*",
+        metavar="DIR",
+        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as KITTI's, or rest",
+    )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
     parser.add_argument(
         "--worst",
@@ -87,6 +94,8 @@ def run(options: argparse.Namespace) -> None:
 
     if options.match is not None:
         return _match(options)
+    if options.stereo is not None:
+        return _stereo(options)
     clips, posed_clips = _chosen(options)
     detect = AirLine()
     sequences: dict[str, Any] = {}
@@ -124,6 +133,35 @@ def _match(options: argparse.Namespace) -> None:
     console.print(report.table("Pairs of lines of two images", figures, report.MATCHES))
     console.print(report.MATCH_LEGEND)
     write_json(options.json, {"matches": figures})
+
+
+def _stereo(options: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from airline.detector import AirLine
+    from frontend.evaluation import report, stereo
+
+    detect = AirLine()
+    partners: dict[str, Any] = {}
+    first: dict[str, Any] = {}
+    for name, clip in {} if options.stereo else stereo.rendered_pairs().items():
+        truths: list[stereo.PairTruth] = []
+        with progress(name, min(len(clip), options.limit or len(clip))) as advance:
+            runs = stereo.follow(stereo.frames_of(clip, options.limit, truths), detect, advance)
+        partners[name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
+    for posed in map(stereo.PosedPairs, options.stereo):
+        with progress(posed.name, min(len(posed), options.limit or len(posed))) as advance:
+            runs = stereo.follow(islice(posed, options.limit), detect, advance)
+        first[posed.name] = {kind: stereo.first_pair_scores(run, posed.poses, posed.K) for kind, run in runs.items()}
+    console = Console()
+    if partners:
+        console.print(report.table("Partners in the right image", partners, report.PARTNERS))
+        console.print(report.table("Their disparities", partners, report.DISPARITIES))
+        console.print(report.table("Error of distances, %", partners, report.BY_DISTANCE))
+    if first:
+        console.print(report.table("Lines from a first pair", first, report.FIRST_PAIRS))
+    console.print(report.STEREO_LEGEND)
+    write_json(options.json, {"partners": partners, "first_pairs": first})
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
