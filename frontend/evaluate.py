@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -62,7 +63,7 @@ def build_parser() -> Parser:
         type=Path,
         nargs="*",
         metavar="DIR",
-        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as KITTI's, or rest",
+        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest",
     )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
     parser.add_argument(
@@ -140,19 +141,28 @@ def _stereo(options: argparse.Namespace) -> None:
 
     from airline.detector import AirLine
     from frontend.evaluation import report, stereo
+    from frontend.evaluation.posed import PosedClip
+    from frontend.sources import open_stereo
 
     detect = AirLine()
     partners: dict[str, Any] = {}
     first: dict[str, Any] = {}
-    for name, clip in {} if options.stereo else stereo.rendered_pairs().items():
+    rest: dict[str, Any] = {}
+    clips = stereo.rendered_pairs()
+    for name in [] if options.stereo else _named(options, list(clips)):
+        clip = clips[name]
         truths: list[stereo.PairTruth] = []
         with progress(name, min(len(clip), options.limit or len(clip))) as advance:
             runs = stereo.follow(stereo.frames_of(clip, options.limit, truths), detect, advance)
         partners[name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
-    for posed in map(stereo.PosedPairs, options.stereo):
-        with progress(posed.name, min(len(posed), options.limit or len(posed))) as advance:
-            runs = stereo.follow(islice(posed, options.limit), detect, advance)
-        first[posed.name] = {kind: stereo.first_pair_scores(run, posed.poses, posed.K) for kind, run in runs.items()}
+    for folder in options.stereo:
+        posed = PosedClip(folder) if (folder / "poses.txt").is_file() else None
+        with closing(open_stereo(folder)) as source, progress(source.name, source.frame_count) as advance:
+            runs = stereo.follow(islice(source, options.limit), detect, advance)
+        if posed is None:
+            rest[source.name] = {kind: stereo.rest_scores(run) for kind, run in runs.items()}
+        else:
+            first[source.name] = {kind: stereo.first_pair_scores(run, posed) for kind, run in runs.items()}
     console = Console()
     if partners:
         console.print(report.table("Partners in the right image", partners, report.PARTNERS))
@@ -160,8 +170,10 @@ def _stereo(options: argparse.Namespace) -> None:
         console.print(report.table("Error of distances, %", partners, report.BY_DISTANCE))
     if first:
         console.print(report.table("Lines from a first pair", first, report.FIRST_PAIRS))
+    if rest:
+        console.print(report.table("Upright lines at rest", rest, report.AT_REST))
     console.print(report.STEREO_LEGEND)
-    write_json(options.json, {"partners": partners, "first_pairs": first})
+    write_json(options.json, {"partners": partners, "first_pairs": first, "at_rest": rest})
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
@@ -178,13 +190,19 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
         clips.append(LabelledClip(options.icl))
     posed = [PosedClip(folder) for folder in options.posed]
     names = [clip.name for clip in clips] + [clip.name for clip in posed]
-    wanted = options.sequence or names
+    wanted = _named(options, names)
     for name in wanted:
-        if name not in names:
-            raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
         if names.count(name) > 1:
             raise InputError(f"two sequences are called '{name}': rename a folder")
     return [clip for clip in clips if clip.name in wanted], [clip for clip in posed if clip.name in wanted]
+
+
+def _named(options: argparse.Namespace, names: list[str]) -> list[str]:
+    """Those of the names that the arguments ask for."""
+    for name in options.sequence or []:
+        if name not in names:
+            raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
+    return options.sequence or names
 
 
 @dataclass(frozen=True)

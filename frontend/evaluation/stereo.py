@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,15 +22,12 @@ from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from airline.scenes import RenderedClip, RenderedView
 from frontend.evaluation.baselines import FlowTracker
-from frontend.evaluation.icl import read_numbers
 from frontend.evaluation.metrics import Figures, rounded
-from frontend.evaluation.posed import PosedClip
+from frontend.evaluation.posed import Posed
 from frontend.evaluation.space import distances, image_lines
 from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Truth, longest_pieces, owners
 from frontend.frame import Frame
-from frontend.sources.image_names import images_in
 from frontend.sources.scene import frame_of
-from frontend.sources.stills import read_image
 from frontend.stereo.disparity import disparities, in_metres
 from frontend.stereo.partners import PartnerFinder
 from frontend.tracker import LineTracker
@@ -181,19 +177,12 @@ def nearest_on_rows(
     """
     ours, theirs = (np.where(a[:, :1, 1:] > a[:, 1:, 1:], a[:, ::-1], a).astype(np.float64) for a in (left, right))
     levels = _levels(ours, left_gray), _levels(theirs, right_gray)
-    shifts = _shifts(ours, theirs, *levels, RANGE * left_gray.shape[1])
-    partner, taken = np.full(len(left), -1), np.zeros(len(right), np.bool_)
-    rows, columns = np.nonzero(np.isfinite(shifts))
-    for k in np.argsort(shifts[rows, columns], kind="stable"):
-        if partner[rows[k]] < 0 and not taken[columns[k]]:
-            partner[rows[k]], taken[columns[k]] = columns[k], True
-    return partner
+    return np.asarray(_nearest(ours, theirs, *levels, RANGE * left_gray.shape[1]))
 
 
 @njit()
-def _shifts(ours, theirs, levels, other_levels, most):  # type: ignore[no-untyped-def]
-    """(N, M) disparities in the middle of common rows of lines that point down; infinite for no possible pair."""
-    shifts = np.full((len(ours), len(theirs)), np.inf)
+def _nearest(ours, theirs, levels, other_levels, most):  # type: ignore[no-untyped-def]
+    shifts = np.full((len(ours), len(theirs)), np.inf)  # in the middle of the rows that both have
     for i in range(len(ours)):
         ux, uy = ours[i, 1] - ours[i, 0]
         for j in range(len(theirs)):
@@ -205,11 +194,17 @@ def _shifts(ours, theirs, levels, other_levels, most):  # type: ignore[no-untype
                 continue
             if np.abs(levels[i] - other_levels[j]).max() > MAX_LEVELS:
                 continue
-            middle = (top + bottom) / 2
-            shift = _in_row(ours[i], middle) - _in_row(theirs[j], middle)
+            shift = _in_row(ours[i], (top + bottom) / 2) - _in_row(theirs[j], (top + bottom) / 2)
             if 0 <= shift <= most:
                 shifts[i, j] = shift
-    return shifts
+    partner, free = np.full(len(ours), -1), np.ones(len(theirs), np.bool_)
+    for k in np.argsort(shifts.ravel()):
+        i, j = divmod(k, len(theirs))
+        if shifts[i, j] == np.inf:
+            break
+        if partner[i] < 0 and free[j]:
+            partner[i], free[j] = j, False
+    return partner
 
 
 @njit()
@@ -313,7 +308,7 @@ def _over(what: Callable[[Array], Any], values: NDArray[Any], power: float = 1.0
 
 def _judged(pairs: Pairs, truth: PairTruth) -> dict[str, NDArray[Any]]:
     """(N,) masks of the rows of `pairs`; and errors of both ends, px, their squares over variances, distances."""
-    has = np.isfinite(pairs.right).all(axis=(1, 2))
+    has: Mask = np.asarray(np.isfinite(pairs.right).all(axis=(1, 2)))
     own, other = owners(pairs.left, truth.left), np.full(len(has), AMBIGUOUS)
     other[has] = owners(pairs.right[has], truth.right)
     right = has & (own >= 0) & (own == other)
@@ -351,37 +346,12 @@ def _true_disparities(lines: Lines, own: NDArray[np.int64], truth: PairTruth) ->
     return np.asarray(x[0] - x[1])
 
 
-class PosedPairs:
-    """A `PosedClip` with the right camera's images beside the left one's, in KITTI's layout.
-
-    Raises:
-        InputError: also where there is no right camera.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._left, self.name = PosedClip(folder), folder.resolve().name
-        self.K, self.poses = self._left.K, self._left.poses
-        self._right = images_in(folder / "images_right")
-        if len(self._right) != len(self._left):
-            raise InputError(f"{folder} has {len(self._left)} left and {len(self._right)} right images")
-        self._baseline = -read_numbers(folder / "calib.txt", 12, None)[1, 3] / self.K[0, 0]
-
-    def __len__(self) -> int:
-        return len(self._left)
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame, path in zip(self._left, self._right, strict=True):
-            assert frame.camera is not None
-            yield replace(frame, right=read_image(path), camera=replace(frame.camera, baseline_m=self._baseline))
-
-
-def first_pair_scores(run: Sequence[Pairs], poses: Array, K: Array) -> Figures:
+def first_pair_scores(run: Sequence[Pairs], clip: Posed) -> Figures:
     """Are lines in space, as the first pair of a track tells them, where later frames see them?
 
     Args:
         run: a tracker's answers.
-        poses: (F, 3, 4) world_from_camera of their frames and maybe more.
-        K: (3, 3) intrinsic matrix of the left camera, px.
+        clip: the left camera's poses in these frames, and maybe more.
 
     Returns:
         tracks: those seen in 5 frames and more of which the first frame tells the depth; of: all seen so often. always,
@@ -395,12 +365,13 @@ def first_pair_scores(run: Sequence[Pairs], poses: Array, K: Array) -> Figures:
     worst, median, long = [], [], [places for places in seen.values() if len(places) >= MIN_FRAMES]
     for (frame, row), *later in long:
         if run[frame].known[row]:
-            points = run[frame].points[row] @ poses[frame, :, :3].T + poses[frame, :, 3]
-            line = image_lines(poses[[k for k, _ in later]], np.stack([points[0], points[1] - points[0]]), K)
+            start, end = run[frame].points[row] @ clip.poses[frame, :, :3].T + clip.poses[frame, :, 3]
+            line = image_lines(clip.poses[[k for k, _ in later]], np.stack([start, end - start]), clip.K)
             errors = distances(np.array([run[k].left[other] for k, other in later], np.float64), line).max(axis=1)
             worst.append(errors.max())
             median.append(np.median(errors))
-    always, usually = (np.asarray(np.array(errors) <= MAX_ERROR) for errors in (worst, median))
+    always: Mask = np.array(worst) <= MAX_ERROR
+    usually: Mask = np.array(median) <= MAX_ERROR
     return rounded(
         {
             "of": len(long),
