@@ -11,7 +11,7 @@ Kind = Literal["minimal", "default", "full"]
 CLEAN, REST = ("/camera/tracks", "/camera/tails", "/camera/points"), ("/camera/tracks/rest", "/camera/tracks/lost")
 BOLD, TAILS = "bold: long and old", "tails: where they were"
 PARTNERS = "Their partners in the right image"
-BEHIND, AHEAD = np.array([-3.0, -6.0, -6.0]), np.array([0.0, 0.0, 20.0])  # baselines from the left camera
+BEHIND, AHEAD = np.array([-4.0, -7.0, -10.0]), np.array([0.0, 0.0, 20.0])  # baselines from the left camera
 WIDE = 2.5  # images of this width to height have the whole width of the window
 
 
