@@ -11,6 +11,8 @@ from airline.errors import InputError
 from airline.image import to_uint8
 from airline.trace import Trace
 from frontend.frame import Frame
+from frontend.stereo.disparity import disparities as disparities_of
+from frontend.stereo.refine import refined
 from frontend.stereo.votes import partner_votes, rivals, supported
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.assignment import assign
@@ -65,7 +67,8 @@ class PartnerFinder:
         ours = LineFeatures(tracks.observed_px, tracks.descriptors, side_profiles(images[0], tracks.observed_px))
         segments = right.lines.segments
         theirs = LineFeatures(segments, right.lines.descriptors, side_profiles(images[1], segments))
-        votes, disparities = partner_votes(images, (ours, theirs), ranges, _gain(*images))
+        gain = _gain(*images)
+        votes, disparities = partner_votes(images, (ours, theirs), ranges, gain)
         chosen = _chosen(votes, disparities, ours.segments, ~np.isnan(last[:, 0]))
         self._check_sides(disparities[np.arange(len(chosen)), chosen][chosen >= 0] - infinity)
         found, errors = (
@@ -81,6 +84,7 @@ class PartnerFinder:
         last[hit] = np.sort(disparities[hit, chosen[hit]], axis=1)
         measured = self._measure(ours, last, found, errors, right, images[1])
         hit |= measured
+        _refine(images, tracks, found, errors, gain)
         errors = with_bias(errors, np.zeros(len(errors), np.float32))
         hits = np.where(hit, hits + 1, 0).astype(np.int32)
         self._ids, self._last, self._hits = tracks.ids, np.where(hit[:, None], last, np.nan), hits
@@ -165,3 +169,21 @@ def _chosen(
     chosen = assign(raised, MIN_VOTE)
     doubt = ~known & (rivals(raised, disparities, chosen, APART) >= SURE_ENOUGH)
     return np.where(doubt, -1, chosen).astype(np.int32)
+
+
+def _refine(
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    tracks: LineTracks,
+    found: NDArray[np.float32],
+    errors: NDArray[np.float32],
+    gain: tuple[float, float],
+) -> None:
+    """Move partners along their rows to where the images agree; lines along the rows stay."""
+    lines = tracks.observed_px, tracks.observed_covariances, found, errors
+    disparity, covariances, _ = disparities_of(*lines, 0.0)
+    rows = np.flatnonzero(np.isfinite(disparity).all(axis=1))
+    ends, theirs = tracks.observed_px[rows], found[rows]
+    better = refined(images, ends, disparity[rows].astype(np.float64), covariances[rows].astype(np.float64), gain)
+    shift = disparity[rows] - better  # to the right, at the rows of the left ends
+    along = (theirs[..., 1] - ends[:, :1, 1]) / (ends[:, 1:, 1] - ends[:, :1, 1])
+    found[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)

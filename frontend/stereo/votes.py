@@ -176,7 +176,7 @@ def _alike(image, other, p, place, nx, ny, gain, lift, work):  # type: ignore[no
         disparity = place[2] + s * (place[3] - place[2])
         for c in range(len(ACROSS)):
             px, py = x + ACROSS[c] * nx, y + ACROSS[c] * ny
-            here, there = _level(image, px, py), lift + gain * _level(other, px - disparity, py)
+            here, there = level(image, px, py), lift + gain * level(other, px - disparity, py)
             work[0, c, k], work[1, c, k] = here, there
             mean += here / count
             other_mean += there / count
@@ -193,7 +193,7 @@ def _alike(image, other, p, place, nx, ny, gain, lift, work):  # type: ignore[no
 
 
 @njit(inline="always")
-def _level(image, x, y):  # type: ignore[no-untyped-def]
+def level(image, x, y):  # type: ignore[no-untyped-def]
     """Grey level between pixels, outside of the image as at its border."""
     return bilinear(image, min(max(x, 0.0), image.shape[1] - 1.0), min(max(y, 0.0), image.shape[0] - 1.0))
 
