@@ -30,6 +30,7 @@ SURE, SURE_ENOUGH = 0.8, 0.9  # a rival's share of the vote, below which a partn
 NEAREST, REACH = 8, 0.05  # lines that speak for a disparity, and how much theirs may differ, as a share
 SLACK, CHANGE = 3.0, 0.15  # px, and share of a disparity, by which it may differ from the last frame's
 MIN_SUPPORT, MIN_APPEARANCE = 0.6, 0.5  # of a partner on the edge map, as of `TrackerConfig`
+MIN_GUESSED, YOUNG = 0.6, 1  # the same where a line's disparity is guessed, which it is in its first frames
 LEAST = 10  # partners that tell which camera is the left one
 
 Array = NDArray[np.float64]
@@ -82,10 +83,10 @@ class PartnerFinder:
         residuals = None if right.lines.residuals is None else right.lines.residuals[chosen[hit]]
         found[hit], errors[hit] = lines, line_covariances(lines, residuals)
         last[hit] = np.sort(disparities[hit, chosen[hit]], axis=1)
-        measured = self._measure(ours, last, found, errors, right, images[1])
+        measured = self._measure(ours, last, tracks.ages <= YOUNG, found, errors, right, images[1])
         hit |= measured
-        _refine(images, tracks, found, errors, gain)
         errors = with_bias(errors, np.zeros(len(errors), np.float32))
+        _refine(images, tracks, found, errors, gain, last)
         hits = np.where(hit, hits + 1, 0).astype(np.int32)
         self._ids, self._last, self._hits = tracks.ids, np.where(hit[:, None], last, np.nan), hits
         return replace(tracks, right_px=found, right_covariances=errors, right_hits=hits, right_measured=measured)
@@ -119,27 +120,49 @@ class PartnerFinder:
         self,
         ours: LineFeatures,
         last: Array,
+        young: NDArray[np.bool_],
         found: NDArray[np.float32],
         errors: NDArray[np.float32],
         right: Trace,
         gray: NDArray[np.uint8],
     ) -> NDArray[np.bool_]:
-        """Look for predicted lines without a partner on the edge map; returns the (N,) mask of those found."""
-        rows = np.flatnonzero(np.isnan(found[:, 0, 0]) & ~np.isnan(last[:, 0]))
-        predicted = ours.segments[rows] - np.stack([last[rows].mean(axis=1), np.zeros(len(rows))], axis=1)[:, None]
-        predicted = predicted.astype(np.float32)
+        """Look for lines without a partner on the edge map, where they were or where those beside them are.
+
+        Returns the (N,) mask of those found.
+        """
+        rows, guesses = _guesses(ours.segments, last, young, ~np.isnan(found[:, 0, 0]))
+        predicted = ours.segments[rows].copy()
+        predicted[..., 0] -= guesses[:, None]
         bands = np.full(len(rows), MAX_BAND, np.float32)
         segments, residuals, support, _ = measure(right.edges, predicted, bands)
         length = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
-        profiles = side_profiles(gray, segments)
+        alike = (side_profiles(gray, segments) * ours.profiles[rows]).sum(axis=1)
         good = (support >= MIN_SUPPORT) & (length >= SHORTEST)
-        good &= (profiles * ours.profiles[rows]).sum(axis=1) >= MIN_APPEARANCE
-        taken = found[~np.isnan(found[:, 0, 0])]
-        good[good] = ~covered(segments[good], taken)
-        found[rows[good]], errors[rows[good]] = segments[good], line_covariances(segments, residuals, MEASURED)[good]
+        good &= alike >= np.where(np.isnan(last[rows, 0]), MIN_GUESSED, MIN_APPEARANCE)
+        good[good] = ~covered(segments[good], found[~np.isnan(found[:, 0, 0])])
+        best = np.flatnonzero(good)
+        best = best[np.lexsort((-alike[best], rows[best]))]
+        best = best[np.unique(rows[best], return_index=True)[1]]
+        found[rows[best]], errors[rows[best]] = segments[best], line_covariances(segments, residuals, MEASURED)[best]
+        guessed = np.isnan(last[rows[best], 0])
+        last[rows[best][guessed]] = guesses[best][guessed, None]
         measured = np.zeros(len(found), np.bool_)
-        measured[rows[good]] = True
+        measured[rows[best]] = True
         return measured
+
+
+def _guesses(
+    segments: NDArray[np.float32], last: Array, young: NDArray[np.bool_], paired: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Rows of lines without a partner, each several times, and disparities that they may have, px."""
+    known = np.flatnonzero(~paired & ~np.isnan(last[:, 0]))
+    new, others = np.flatnonzero(~paired & np.isnan(last[:, 0]) & young), np.flatnonzero(paired)
+    middles = segments.mean(axis=1)
+    away = np.linalg.norm(middles[new, None] - middles[others], axis=2)
+    near = np.sort(last[others].mean(axis=1)[np.argsort(away, axis=1)[:, :NEAREST]], axis=1)
+    other = np.diff(near, axis=1, prepend=-np.inf) > APART
+    rows, guesses = np.repeat(new, other.sum(axis=1)), near[other]
+    return np.concatenate([known, rows]), np.concatenate([last[known].mean(axis=1), guesses]).astype(np.float32)
 
 
 def _gain(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[float, float]:
@@ -177,6 +200,7 @@ def _refine(
     found: NDArray[np.float32],
     errors: NDArray[np.float32],
     gain: tuple[float, float],
+    last: Array,
 ) -> None:
     """Move partners along their rows to where the images agree; lines along the rows stay."""
     lines = tracks.observed_px, tracks.observed_covariances, found, errors
@@ -187,3 +211,4 @@ def _refine(
     shift = disparity[rows] - better  # to the right, at the rows of the left ends
     along = (theirs[..., 1] - ends[:, :1, 1]) / (ends[:, 1:, 1] - ends[:, :1, 1])
     found[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
+    last[rows] = np.sort(better, axis=1)
