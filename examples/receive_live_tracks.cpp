@@ -45,13 +45,18 @@ int main(int count, char** arguments) {
         const auto ids = column<std::int64_t>(message, "ids");
         const auto states = column<std::uint8_t>(message, "states");
         const auto lines = column<float>(message, "segments_normalized");  // x0 y0 x1 y1 of each
+        const bool stereo = message.at("arrays").contains("segments_m");  // not of older publishers
+        const auto metres = stereo ? column<float>(message, "segments_m") : std::vector<float>();
         const std::int64_t now = std::chrono::nanoseconds(std::chrono::system_clock::now().time_since_epoch()).count();
         std::printf("%lld: %zu tracks, %.1f ms\n", static_cast<long long>(message.at("stamp_ns").get<std::int64_t>()),
                     ids.size(), (now - message.at("read_ns").get<std::int64_t>()) / 1e6);
         for (std::size_t k = 0; k < ids.size() && k < 3; ++k)
-            if (states[k] == 1)  // confirmed
+            if (states[k] == 1) {  // confirmed
                 std::printf("  %lld: (%.4f, %.4f) - (%.4f, %.4f)\n", static_cast<long long>(ids[k]), lines[4 * k],
                             lines[4 * k + 1], lines[4 * k + 2], lines[4 * k + 3]);
+                if (!metres.empty())  // a right image, NaN without depth; x0 y0 z0 x1 y1 z1 of each
+                    std::printf("    %.2f and %.2f m away\n", metres[6 * k + 2], metres[6 * k + 5]);
+            }
     }
     std::printf("received up to message %lld, lost %lld\n", static_cast<long long>(last), static_cast<long long>(lost));
     zmq_msg_close(&part), zmq_close(socket), zmq_ctx_term(context);

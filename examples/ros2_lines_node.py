@@ -2,7 +2,8 @@
 
 It publishes what `python -m frontend.run ... --publish tcp://127.0.0.1:5555 [--points]` sends. It is one file that
 imports nothing of that package, so Humble's Python 3.10 runs it, too: `apt install python3-zmq python3-msgpack
-python3-numpy`. With points it stands for PL-VINS's point tracker, too.
+python3-numpy`. With points it stands for PL-VINS's point tracker, too. Both are monocular: of a pair of cameras this
+takes the left one's lines.
 """
 
 import sys

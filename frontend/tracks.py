@@ -400,7 +400,7 @@ DERIVED = (  # follow from the others where the camera is known
         "the observed line in space, in the left camera's frame; NaN where its depth is not known",
         unit="m",
         shape=(2, 3),
-        columns="X0 Y0 Z0 X1 Y1 Z1",
+        columns="x0_m y0_m z0_m x1_m y1_m z1_m",
         rows="right",
     ),
     _derived(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
 import rerun.blueprint as rrb
 
 Kind = Literal["minimal", "default", "full"]
 CLEAN, REST = ("/camera/tracks", "/camera/tails", "/camera/points"), ("/camera/tracks/rest", "/camera/tracks/lost")
 BOLD, TAILS = "bold: long and old", "tails: where they were"
+PARTNERS = "Their partners in the right image"
+BEHIND, AHEAD = np.array([-4.0, -7.0, -10.0]), np.array([0.0, 0.0, 20.0])  # baselines from the left camera
 WIDE = 2.5  # images of this width to height have the whole width of the window
 
 
@@ -19,6 +22,8 @@ def layout(
     image: bool = True,
     stages: bool = True,
     space: bool = False,
+    right: bool = False,
+    baseline_m: float = 0.0,
 ) -> rrb.Blueprint:
     """The blueprint of a run.
 
@@ -29,11 +34,20 @@ def layout(
         image: whether the recording has the camera's image.
         stages: whether the recording has the detector's stages.
         space: whether it has poses or lines in space.
+        right: whether it has a right image, which goes beside the left one.
+        baseline_m: of two cameras without poses, whose lines in space are seen from behind them; 0 for a view of all.
     """
+    aspect = size[0] / size[1] if size else 4 / 3
+    wide = aspect >= WIDE
     below = ["/camera/image"] if image else []
-    tracks = _camera_view(f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", *below, *CLEAN)
+    title, parts = f"Tracks ({BOLD}, thin: other confirmed ones, {TAILS})", [*CLEAN]
     if kind == "full":
-        tracks = _camera_view(f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", *below, *REST, *CLEAN)
+        title, parts = f"All tracks ({BOLD}, thin: all others, grey: lost, {TAILS})", [*REST, *CLEAN]
+    tracks: rrb.View | rrb.Container = _camera_view(title, *below, *parts)
+    if right:
+        names = ["/right/image"] * image + ["/right/tracks/rest"] * (kind == "full") + ["/right/tracks"]
+        pair = rrb.Vertical if wide and kind == "minimal" else rrb.Horizontal
+        tracks = pair(tracks, _camera_view(PARTNERS, *names))
     counts = _plot("counts", "Lines per frame", rrb.PlotLegend(corner="LeftTop"))
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     log = rrb.TextLogView(origin="/log", name="Log", columns=columns)
@@ -42,9 +56,10 @@ def layout(
     length = _plot("track_length", "Track length (frames)", rrb.PlotLegend(visible=False))
     times = _plot("time_ms", "Time per stage (ms)", rrb.PlotLegend(corner="LeftTop"))
     figures = rrb.Horizontal(counts, times, length, log, column_shares=[3, 3, 2, 2])
-    views: list[rrb.View | rrb.Container] = [_space_view()] if space else []
-    aspect = size[0] / size[1] if size else 4 / 3
-    wide = aspect >= WIDE
+    if right:
+        partners = _plot("partners", "With a partner", rrb.PlotLegend(corner="LeftTop"))
+        figures = rrb.Horizontal(counts, times, length, partners, log, column_shares=[3, 3, 2, 2, 2])
+    views: list[rrb.View | rrb.Container] = [_space_view(baseline_m)] if space else []
     if stages:
         pictures = [
             _camera_view("Edges", "/camera/edges"),
@@ -52,9 +67,12 @@ def layout(
             _camera_view("Regions of lines", "/camera/regions"),
             _camera_view("Segments (hue: angle)", *below, "/camera/segments"),
         ]
-        views.append(rrb.Grid(*pictures, grid_columns=4 if wide else 2))
+        views.append(rrb.Grid(*pictures, grid_columns=4 if wide and not right else 2))
     if not views:
         return _blueprint(rrb.Vertical(tracks, figures, row_shares=[5, 2]))
+    if right:
+        share = min(8 / aspect + 0.4, 4.5)  # of the window's height, which is 10 to 16 of its width
+        return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(*views), figures, row_shares=[share, 8 - share, 2]))
     if wide:
         shares = [16 / aspect, 4 / aspect + 0.5 if not space else 4, 3]
         return _blueprint(rrb.Vertical(tracks, rrb.Horizontal(*views), figures, row_shares=shares))
@@ -95,8 +113,11 @@ def _camera_view(name: str, *contents: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=contents[0], contents=list(contents), name=name)
 
 
-def _space_view() -> rrb.Spatial3DView:
+def _space_view(baseline_m: float) -> rrb.Spatial3DView:
     """The camera's way is logged step by step; the view shows all steps so far."""
+    eye = None
+    if baseline_m:
+        eye = rrb.EyeControls3D(position=baseline_m * BEHIND, look_target=baseline_m * AHEAD, eye_up=(0, -1, 0))
     start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in ("frame", "sensor_time")]
     return rrb.Spatial3DView(
@@ -104,4 +125,5 @@ def _space_view() -> rrb.Spatial3DView:
         contents=["/world/**", "/camera", "/camera/image"],
         name="Space",
         overrides={"/world/path": rrb.VisibleTimeRanges(ranges)},
+        eye_controls=eye,
     )

@@ -18,6 +18,8 @@ COLOURS = {  # of curves, RGB, in the order of the legend, which may have no pla
     "lines": (255, 196, 64),
     "measured": (230, 110, 220),
     "lost": (170, 170, 170),
+    "share, %": (80, 220, 100),
+    "age, frames": (255, 196, 64),
     "edges": (80, 220, 100),
     "track": (250, 80, 80),
     "refine": (70, 200, 235),
@@ -81,7 +83,10 @@ class FigureLog:
 
 
 def track_figures(tracks: LineTracks) -> dict[str, dict[str, float]]:
-    """Counts of tracks and the median age of confirmed ones (frames), by plot and curve."""
+    """Counts of tracks and the median age of confirmed ones (frames), by plot and curve; with a right image more.
+
+    That is which share of the confirmed ones has a partner there, and since how many frames (median).
+    """
     ages = tracks.ages[tracks.confirmed]
     counts = {
         "tracks": len(tracks),
@@ -89,7 +94,12 @@ def track_figures(tracks: LineTracks) -> dict[str, dict[str, float]]:
         "measured": tracks.measured.sum(),
         "lost": len(tracks.lost_ids),
     }
-    return {"counts": counts, "track_length": {"median": median(ages)}}
+    figures = {"counts": counts, "track_length": {"median": median(ages)}}
+    if len(tracks.right_hits):
+        since = tracks.right_hits[tracks.confirmed]
+        share = 100 * np.count_nonzero(since) / max(len(since), 1)
+        figures["partners"] = {"share, %": share, "age, frames": median(since[since > 0])}
+    return figures
 
 
 def median(values: Sequence[float] | NDArray[np.number]) -> float:

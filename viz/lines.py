@@ -23,6 +23,7 @@ TAIL_TONE = 0.75  # how dark a tail is beside its line
 BOLD_RADIUS, THIN_RADIUS, FAINT_RADIUS = 0.0020, 0.0006, 0.0004
 POINT_RADIUS = 0.0025
 BOLD_LINES, SHOWN_LINES = 150, 450  # at most: more would hide the image, or each other
+RIGHT, STEREO = "/right", "/world/stereo"  # Rerun shows nothing in space below a pinhole, so not below the camera
 LOST_FRAMES = 3  # lost lines are drawn for so many frames: where one should be is a guess, which soon is none
 TAIL_FRAMES, TAIL_STEP = 12, 3
 TAIL_LENGTH = 0.08  # of the image's size
@@ -38,12 +39,16 @@ class TrackLog:
     darker. `/camera/tracks/lost`: where lines should be that were lost in the last `LOST_FRAMES` frames, grey.
     `/camera/tails`: where bold lines were. `/camera/points`: points, once there are any, with their `point_id`.
 
+    Once there is a right image: `/right/tracks` and `/right/tracks/rest`, the partners of these tracks, which look
+    alike, `measured` being the partner; and with its calibration `/world/stereo`, the shown ones of known depth, m.
+
     Args:
         stream: where to log to.
         root: the entity above all these, in place of `/camera`.
         show_lost: draw lost lines for as long as they are looked for.
         tails: log tails.
         rest: log `rest` and `lost`.
+        partners: log what the right image tells.
     """
 
     def __init__(
@@ -54,13 +59,15 @@ class TrackLog:
         show_lost: bool = False,
         tails: bool = True,
         rest: bool = True,
+        partners: bool = True,
     ) -> None:
         self._stream = stream
         self._root = root
         self._rest = rest
         self._show_lost = show_lost
         self._tails = Tails() if tails else None
-        self._points = False
+        self._points = self._right = False
+        self._partners = partners
         self._shown, self._bold = _Best(SHOWN_LINES), _Best(BOLD_LINES)
 
     def write(self, tracks: LineTracks, size: Size) -> None:
@@ -71,10 +78,14 @@ class TrackLog:
         bold = self._bold.rows(tracks, shown, size)
         radii = np.full(len(shown), scale * THIN_RADIUS)
         radii[bold] = scale * BOLD_RADIUS
-        self._log_seen(f"{self._root}/tracks", tracks, shown, radii)
+        self._right |= self._partners and len(tracks.right_hits) > 0
+        self._log_seen("tracks", tracks, shown, radii)
+        if self._right and tracks.segments_m is not None and tracks.depth_known is not None:
+            known = shown[tracks.depth_known[shown]]
+            log_lines_3d(self._stream, STEREO, tracks.segments_m[known], tracks.ids[known], 0.75)
         if self._rest:
             rest = np.delete(np.arange(len(tracks)), shown)
-            self._log_seen(f"{self._root}/tracks/rest", tracks, rest, scale * THIN_RADIUS)
+            self._log_seen("tracks/rest", tracks, rest, scale * THIN_RADIUS)
             recent = self._show_lost | (tracks.lost_frames <= LOST_FRAMES)
             ids, segments = tracks.lost_ids[recent], tracks.lost_segments_px[recent]
             grey = (track_colours(ids) * LOST_TONE + LOST_GREY * (1 - LOST_TONE)).astype(np.uint8)
@@ -91,13 +102,20 @@ class TrackLog:
             self._stream.log(f"{self._root}/points", dots, rr.AnyValues(point_id=pa.array(tracks.point_ids)))
 
     def _log_seen(
-        self, entity: str, tracks: LineTracks, rows: NDArray[np.intp], radii: NDArray[np.float64] | float
+        self, name: str, tracks: LineTracks, rows: NDArray[np.intp], radii: NDArray[np.float64] | float
     ) -> None:
         ids = tracks.ids[rows]
         colours = track_colours(ids)
         fragments = tracks.fragment_of[rows] >= 0
         colours[fragments] = (colours[fragments] * FRAGMENT_TONE).astype(np.uint8)
-        log_lines(self._stream, entity, tracks.segments_px[rows], colours, radii, ids, measured=tracks.measured[rows])
+        entity, measured = f"{self._root}/{name}", tracks.measured[rows]
+        log_lines(self._stream, entity, tracks.segments_px[rows], colours, radii, ids, measured=measured)
+        if self._right:
+            seen = np.isin(rows, np.flatnonzero(tracks.right_hits))
+            entity, radii = f"{RIGHT}/{name}", np.broadcast_to(radii, len(rows))[seen]
+            rows, colours, ids = rows[seen], colours[seen], ids[seen]
+            measured = tracks.right_measured[rows]
+            log_lines(self._stream, entity, tracks.right_px[rows], colours, radii, ids, measured=measured)
 
 
 class _Best:
@@ -214,6 +232,14 @@ def _strips(strips: pa.ListArray, colours: NDArray[np.uint8], radii: NDArray[np.
     return rr.LineStrips2D(strips, colors=packed(colours), radii=radii)
 
 
+def log_lines_3d(
+    stream: rr.RecordingStream, entity: str, segments: NDArray[np.float32], ids: NDArray[np.int64], points: float
+) -> None:
+    """Log (N, 2, 3) lines in space in the colours of their tracks, with this radius in points of the screen."""
+    lines = rr.LineStrips3D(strips_3d(segments), colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(points))
+    stream.log(entity, lines, rr.AnyValues(track_id=pa.array(ids)))
+
+
 def pinhole(camera: CameraModel) -> rr.Pinhole:
     """The camera at `/camera`: only the intrinsics, as Rerun has no lens distortion."""
     return rr.Pinhole(
@@ -221,7 +247,7 @@ def pinhole(camera: CameraModel) -> rr.Pinhole:
         principal_point=(camera.cx + float(CORNER), camera.cy + float(CORNER)),
         width=camera.width,
         height=camera.height,
-        image_plane_distance=0.5,
+        image_plane_distance=2 * camera.baseline_m or 0.5,  # before all lines of a pair
     )
 
 
@@ -231,20 +257,28 @@ class Space:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._before: NDArray[np.float32] | None = None
+        self._moved = ["/camera"]
+        self._latest: rr.Transform3D | None = None
         # upright where the world is the frame of a first camera held upright
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Y_DOWN, static=True)
+
+    def move(self, entity: str) -> None:
+        """Move one more entity with the camera."""
+        self._moved.append(entity)
+        if self._latest is not None:
+            self._stream.log(entity, self._latest)
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
         """Log a (4, 4) rigid motion; InputError where it is none."""
         pose = checked_pose(world_T_camera)
         place = pose[:3, 3].astype(np.float32)
-        self._stream.log("/camera", rr.Transform3D(translation=place, mat3x3=pose[:3, :3]))
+        self._latest = rr.Transform3D(translation=place, mat3x3=pose[:3, :3])
+        for entity in self._moved:
+            self._stream.log(entity, self._latest)
         step = strips_3d(np.stack([place if self._before is None else self._before, place])[None])
         self._stream.log("/world/path", rr.LineStrips3D(step, colors=(255, 255, 255), radii=rr.Radius.ui_points(1)))
         self._before = place
 
     def log_lines(self, segments: NDArray[np.floating], ids: NDArray[np.int64]) -> None:
         """Log (N, 2, 3) lines in the colours of their tracks; InputError where they do not fit to N ids."""
-        strips = strips_3d(checked_lines(segments, ids))
-        lines = rr.LineStrips3D(strips, colors=packed(track_colours(ids)), radii=rr.Radius.ui_points(1.5))
-        self._stream.log("/world/lines", lines, rr.AnyValues(track_id=ids))
+        log_lines_3d(self._stream, "/world/lines", checked_lines(segments, ids), ids, 1.5)

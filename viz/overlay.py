@@ -43,10 +43,10 @@ def draw_lines(
 
 
 def draw_frame(frame: RecordedFrame) -> Picture:
-    """A recorded frame's image with its lines, BGR, in the colours of the recording; two runs stand side by side."""
+    """A recorded frame's image with its lines, BGR, in the colours of the recording; two of them stand side by side."""
     panels = []
-    for layers in frame.panels:
-        canvas = frame.image.copy()
+    for image, layers in zip(frame.images, frame.panels, strict=True):
+        canvas = image.copy()
         for strips in layers:
             draw_lines(canvas, strips.points, strips.colours, strips.widths)
         panels.append(canvas)

@@ -18,7 +18,8 @@ from airline.image import to_uint8
 from viz.rerun_private import CORNER
 
 IMAGE = "/camera/image"
-ROOTS = (("/camera",), ("/a", "/b"))  # of a run, and of a comparison of two
+# Of a run, with a right image or without, and of a comparison of two: what has tracks, and the image below them
+ROOTS = ({"/camera": IMAGE, "/right": "/right/image"}, {"/a": IMAGE, "/b": IMAGE})
 LAYERS = ("tails", "unmatched", "tracks")  # below each root, the lowest first; what the default layout shows
 BACKGROUND = 30  # grey level where a recording has no images
 WIDE_POINTS = 4 / 3  # pixels of line width per point of the screen, which radii below 0 are in
@@ -48,11 +49,12 @@ class RecordedFrame:
     """What was logged for one frame.
 
     Attributes:
-        image: (H, W, 3) uint8 BGR; plain dark where the recording has none.
-        panels: the lines over it, one list of layers for each run in the recording.
+        images: (H, W, 3) uint8 BGR, plain dark where the recording has none: the left and the right one, or one for
+            each run in the recording.
+        panels: the lines over them, a list of layers for each.
     """
 
-    image: Picture
+    images: list[Picture]
     panels: list[list[Strips]]
 
 
@@ -75,7 +77,7 @@ class Recording:
             raise InputError(f"there is no recording {path}: give an .rrd file")
         self._path = path
         self._paths: set[str] = set()
-        self._images = _Images()
+        self._images = {entity: _Images() for roots in ROOTS for entity in roots.values()}
         self._size: tuple[int, int] | None = None
         times: dict[str, dict[int, int]] = {}
         for chunk in self._chunks():
@@ -87,14 +89,14 @@ class Recording:
                 frames = rows.column("frame").to_pylist()
                 times.setdefault(chunk.entity_path, {}).update(zip(frames, stamps, strict=True))
             if chunk.is_static and chunk.entity_path == IMAGE:
-                self._images.take(rows, 0)
+                self._images[IMAGE].take(rows, 0)
             if "Pinhole:resolution" in names and self._size is None:
                 width, height = rows.column("Pinhole:resolution")[0].values[0].as_py()
                 self._size = int(width), int(height)
-        self._roots = next((roots for roots in ROOTS if f"{roots[0]}/tracks" in times), ())
+        self._roots = {root: image for roots in ROOTS for root, image in roots.items() if f"{root}/tracks" in times}
         if not self._roots:
             raise InputError(f"the recording {path} has no tracks on a timeline 'frame': give one of this project")
-        found = times[f"{self._roots[0]}/tracks"]
+        found = times[f"{next(iter(self._roots))}/tracks"]
         self.indices = sorted(found)
         step = float(np.median(np.diff([found[k] for k in self.indices]))) if len(found) > 1 else 0.0
         self.fps = 1e9 / step if step > 1 else 30.0  # without times, frames are one apart
@@ -108,18 +110,19 @@ class Recording:
 
     def frames(self, start: int | None = None, end: int | None = None) -> Iterator[RecordedFrame]:
         """Frames from `start` to `end`, both included, in bounded memory; to be asked for once."""
-        images = _Cursor(self._rows(IMAGE))
+        images = {entity: _Cursor(self._rows(entity)) for entity in self._roots.values()}
         layers = [[_Cursor(self._rows(f"{root}/{name}")) for name in LAYERS] for root in self._roots]
         for frame in self.indices:
             if (start is not None and frame < start) or (end is not None and frame > end):
                 continue
-            for row in images.up_to(frame):
-                self._images.take(*row)
+            for entity, cursor in images.items():
+                for row in cursor.up_to(frame):
+                    self._images[entity].take(*row)
             panels = [
                 [_strips(*row) for row in (c.at(frame) for c in cursors) if row is not None] for cursors in layers
             ]
-            picture = self._images.picture()
-            yield RecordedFrame(self._dark(panels) if picture is None else picture, panels)
+            pictures = {entity: self._images[entity].picture() for entity in images}
+            yield RecordedFrame([self._below(pictures[image], panels) for image in self._roots.values()], panels)
 
     def _rows(self, entity: str) -> Iterator[tuple[int, Any, int]]:
         """Frame, table and row of everything that was logged to an entity, in the order of the frames."""
@@ -142,8 +145,11 @@ class Recording:
         except (OSError, RuntimeError, ValueError) as error:
             raise InputError(f"cannot read the recording {self._path}, it is damaged or none: {error}") from error
 
-    def _dark(self, panels: list[list[Strips]]) -> Picture:
-        """What lines are drawn on without an image, as large as the camera's or as the lines need."""
+    def _below(self, picture: Picture | None, panels: list[list[Strips]]) -> Picture:
+        """What lines are drawn on: without a picture, dark, as large as the last one, the camera's or as they need."""
+        if picture is not None:
+            self._size = picture.shape[1], picture.shape[0]
+            return picture
         if self._size is None:
             corners = [strip.max(axis=0) for layers in panels for strips in layers for strip in strips.points]
             width, height = np.clip(np.max(corners or [[639, 479]], axis=0) + 1, 16, 16384)

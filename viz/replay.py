@@ -10,6 +10,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -108,11 +109,13 @@ def replay(path: Path, save: Path | None, connect: str | None, *, show_lost: boo
     from logs import read_tracks
 
     frames, images = read_tracks(path), ByStamp(images_of(path))
+    first = next(frames, None)
+    shown = layout("minimal", image=not images.empty, right=first is not None and len(first.right_hits) > 0)
     count = 0
-    with recording("airline-frontend", path.stem, layout("minimal", image=not images.empty), save, connect) as stream:
+    with recording("airline-frontend", path.stem, shown, save, connect) as stream:
         clock, figures = Clock(stream), FigureLog(stream)
         lines, size = TrackLog(stream, show_lost=show_lost), None
-        for tracks in frames:
+        for tracks in chain([] if first is None else [first], frames):
             clock.set(tracks.frame_index, tracks.stamp_ns)
             if not count and tracks.camera is not None:
                 stream.log("/camera", pinhole(tracks.camera), static=True)

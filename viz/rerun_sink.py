@@ -21,7 +21,7 @@ from frontend.protocols import FrameResult
 from viz.blueprint import Kind, layout
 from viz.destination import Destination, open_stream
 from viz.figures import TIMELINES, Clock, FigureLog, track_figures
-from viz.lines import Size, Space, TrackLog, picture_size, pinhole
+from viz.lines import RIGHT, STEREO, Size, Space, TrackLog, picture_size, pinhole
 from viz.rerun_private import jpeg, send_blueprint
 from viz.stages import log_colours, log_descriptors, log_stages
 from viz.video import VideoPackets, VideoReferences
@@ -39,6 +39,7 @@ class RerunSink:
 
     Timelines are `frame` and `sensor_time`. Pictures are made in a thread, beside the next frame; what goes wrong there
     is raised by a later `write` or by `close`. A viewer that is absent, slow or dies costs one warning, never the run.
+    Of a stereo pair also the right image, the lines' partners there, and with its calibration the lines in space.
 
     Args:
         application_id: the viewer keeps its layout per application.
@@ -46,7 +47,7 @@ class RerunSink:
         save: .rrd file to write; an existing one is replaced.
         connect: address of a running viewer, `HOST:PORT` or `rerun+http://HOST:PORT/proxy`.
         name: shown as the recording's name in the viewer.
-        image: how the camera's image is logged; "video" logs the input file once, without stages and tails.
+        image: how the camera's image is logged; "video" logs the input file once, and no stages, tails or right image.
         video: that file, or the packets of a log's video.
         blueprint: how the viewer lays it out.
         every: log every so many frames; resets and warnings are always logged.
@@ -54,8 +55,8 @@ class RerunSink:
         jpeg_quality: of all pictures, 1 to 100.
         show_lost: draw lost lines for as long as they are looked for, not only in their first frames.
         layer: the entity of somebody's recording below which `tracks`, `tails` and `points` go, and nothing else of the
-            above: no image, figures, log, poses, name or layout, and no tracks beyond those shown but for the blueprint
-            "full".
+            above: no image, figures, log, poses, name or layout, nothing of a right image, and no tracks beyond those
+            shown but for the blueprint "full".
         coordinate_frame: of the image that a layer lies on, where Rerun knows it by a name, as it does for logs.
         frame_timeline, time_timeline: names of the two timelines.
         properties: what is known of the run, by name, as the property "airline" of the recording.
@@ -108,6 +109,8 @@ class RerunSink:
         self._pending: deque[Future[None]] = deque()
         self._size: Size | None = None
         self._space: Space | None = None
+        self._right = False
+        self._baseline_m = 0.0
 
         self._stream = open_stream(application_id, recording_id, live=connect is not None, layer=self._layer)
         self._clock = Clock(self._stream, (frame_timeline, time_timeline))
@@ -118,6 +121,7 @@ class RerunSink:
             show_lost=show_lost,
             tails=self._stages or self._layer,
             rest=not self._layer or blueprint == "full",
+            partners=not self._layer,
         )
         self._figures = FigureLog(self._stream)
         self._warnings = WarningLog(self.log)
@@ -154,6 +158,12 @@ class RerunSink:
         self._now = result.frame
         if self._size is None:
             self._size = picture_size(result.tracks, result.frame.image)
+            self._right, camera = result.frame.right is not None, result.frame.camera
+            if self._right and not self._layer and camera is not None and camera.baseline_m:
+                if self._space is None:
+                    self._space, self._baseline_m = Space(self._stream), camera.baseline_m
+                self._set_time()
+                self._space.move(STEREO)
             self._send_layout()
         if result.tracks.reset is not None:
             self.log(f"all tracks ended: {result.tracks.reset}", "WARN")
@@ -229,10 +239,11 @@ class RerunSink:
         if frame.camera is not None and not self._has_camera:
             self._has_camera = True
             self._stream.log("/camera", pinhole(frame.camera), static=True)
-        if self._image == "jpeg":
-            self._stream.log("/camera/image", jpeg(to_uint8(frame.image), self._jpeg_quality))
-        elif self._image == "raw":
-            self._stream.log("/camera/image", rr.Image(frame.image, "L" if frame.image.ndim == 2 else "BGR"))
+        for root, image in (("/camera", frame.image), (RIGHT, frame.right)):
+            if image is not None and self._image == "jpeg":
+                self._stream.log(f"{root}/image", jpeg(to_uint8(image), self._jpeg_quality))
+            elif image is not None and self._image == "raw":
+                self._stream.log(f"{root}/image", rr.Image(image, "L" if image.ndim == 2 else "BGR"))
         if self._stages:
             log_stages(self._stream, result, self._jpeg_quality)
         if descriptor:
@@ -243,18 +254,18 @@ class RerunSink:
         self._figures.write({**figures, "time_ms": result.stage_ms})
 
     def _in_space(self) -> Space:
-        if self._space is None:
-            self._space = Space(self._stream)
-            self._send_layout()  # anew, with a view of the space
+        if self._space is None or self._baseline_m:
+            self._space, self._baseline_m = self._space or Space(self._stream), 0.0
+            self._send_layout()  # anew, with a view of all the space
         self._set_time()
         return self._space
 
     def _send_layout(self) -> None:
         if self._layer:
             return
-        space, image = self._space is not None, self._image != "none"
-        kind, size = self._blueprint, self._size
-        send_blueprint(self._stream, layout(kind, size, image=image, stages=self._stages, space=space))
+        has = {"space": self._space is not None, "image": self._image != "none", "stages": self._stages}
+        shown = layout(self._blueprint, self._size, right=self._right, baseline_m=self._baseline_m, **has)
+        send_blueprint(self._stream, shown)
 
 
 class WarningLog(logging.Handler):

@@ -34,6 +34,9 @@ class Summary:
         measured_share: the same, as a share of all observations.
         left_out_per_frame: mean number of tracks seen beyond `max_lines`.
         points_per_frame: mean number of points followed beside the lines.
+        partners_per_frame: mean number of tracks with a partner in the right image; None without one, as the next two.
+        partner_share: of the confirmed tracks, the share with a partner.
+        depth_known_share: of the confirmed tracks, the share whose disparities tell how far away both ends are.
         tracks: number of tracks handed out that were confirmed.
         ids: number of all tracks handed out, those that stayed tentative too: so many ids are in the files.
         resets: how often the tracks began anew.
@@ -71,6 +74,9 @@ class Summary:
     unpaired_left: int = 0
     unpaired_right: int = 0
     reconnects: int = 0
+    partners_per_frame: float | None = None
+    partner_share: float | None = None
+    depth_known_share: float | None = None
     calibration: str | None = None
     kind: str = ""
     live: bool = False
@@ -88,6 +94,10 @@ class Summary:
         missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames, "reconnects": self.reconnects}
         missing |= {"unpaired of the left": self.unpaired_left, "of the right": self.unpaired_right}
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
+        partners = {}
+        if self.partner_share is not None:
+            shares = f"{self.partner_share:.1%} of the confirmed, {self.depth_known_share:.1%} with depth"
+            partners = {"of these with a partner": f"{self.partners_per_frame:.1f} ({shares})"}
         groups = {
             "input": {
                 "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
@@ -102,6 +112,7 @@ class Summary:
                 "of these measured, not detected": f"{self.measured_per_frame:.1f} ({self.measured_share:.1%})",
                 **({"left out by --max-lines": f"{self.left_out_per_frame:.1f}"} if self.left_out_per_frame else {}),
                 **({"points per frame": f"{self.points_per_frame:.1f}"} if self.points_per_frame else {}),
+                **partners,
                 "all tracks": f"{self.tracks} confirmed of {self.ids} ids",
                 "seen in, median": f"{self.track_length_median:g} frames",
                 **({"began anew": f"{self.resets} times, first: {self.first_reset}"} if self.resets else {}),
@@ -125,6 +136,8 @@ class SummaryCounter:
         self._begin_s = self._latest_s = time.perf_counter()
         self._frames = 0
         self._counts = np.zeros(6)  # of lines, tracks, stable ones, measured ones, ones that were left out, and points
+        self._stereo = False
+        self._partners = np.zeros(4)  # counts of partners, of confirmed tracks, of those with one, and with depth
         self._resets = 0
         self._first_reset: str | None = None
         self._stages: dict[str, deque[float]] = {}
@@ -144,6 +157,10 @@ class SummaryCounter:
         tracks = result.tracks
         kinds = tracks.stable.sum(), tracks.measured.sum()
         self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out, len(tracks.point_ids))
+        if len(tracks.right_hits) and tracks.depth_known is not None:
+            found, sure = tracks.right_hits > 0, tracks.confirmed
+            self._stereo = True
+            self._partners += found.sum(), sure.sum(), (sure & found).sum(), (sure & tracks.depth_known).sum()
         if tracks.reset is not None:
             self._resets += 1
             self._first_reset = self._first_reset or tracks.reset
@@ -158,6 +175,7 @@ class SummaryCounter:
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
         lines, live, stable, measured, left_out, points = (self._counts / frames).tolist()
+        partners, confirmed, found, known = self._partners.tolist()
         of_all = self._lengths + Counter(self._hits.values())
         lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
@@ -186,6 +204,9 @@ class SummaryCounter:
             unpaired_left=source.unpaired[0],
             unpaired_right=source.unpaired[1],
             reconnects=source.reconnects,
+            partners_per_frame=round(partners / frames, 2) if self._stereo else None,
+            partner_share=round(found / max(confirmed, 1), 4) if self._stereo else None,
+            depth_known_share=round(known / max(confirmed, 1), 4) if self._stereo else None,
             calibration=source.calibration,
             kind=source.kind,
             live=source.live,

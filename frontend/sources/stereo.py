@@ -154,6 +154,8 @@ class StereoSource(Source):
     def __iter__(self) -> Iterator[Frame]:
         lefts, rights = _Ahead(iter(self._left), self._steps), _Ahead(iter(self._right), deque(maxlen=1))
         paired = False
+        if not self.live and self._left.first_stamp_ns == self._right.first_stamp_ns == 0:
+            self.notes.append("the times of both cameras begin at zero, so their first frames are taken for one moment")
         try:
             while (left := lefts[0]) is not None and (right := rights[0]) is not None:
                 unpaired = self._without_partner(left, right, lefts, rights)

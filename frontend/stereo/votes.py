@@ -55,7 +55,7 @@ def partner_votes(
 
 
 @njit()
-def _vote(
+def _vote(  # type: ignore[no-untyped-def]  # shapes and dtypes as in `LineFeatures` and `partner_votes`
     image,
     other_image,
     segments,
@@ -69,7 +69,7 @@ def _vote(
     lift,
     votes,
     found,
-):  # type: ignore[no-untyped-def]
+):
     work = np.empty((2, len(ACROSS), STATIONS))
     turned, place = np.empty((2, 2)), np.empty(4)
     units, tops, bottoms = _units_and_rows(others)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +31,6 @@ from airline.errors import ConfigError, InputError, from_extra
 from airline.image import to_uint8
 from frontend.camera.model import CameraModel
 from frontend.colours import track_colours
-from frontend.frame import Frame
 from frontend.protocols import FrameResult
 from frontend.space import checked_lines, checked_pose
 from frontend.tracks import LineTracks
@@ -39,9 +39,13 @@ from logs.sinks.output import McapOutput
 from logs.tracks.json import CONVENTIONS, SCHEMA, SCHEMA_NAME, SECOND_NS, Camera, encode_tracks
 
 ANNOTATIONS_TOPIC = "/lines/annotations"
+RIGHT_ANNOTATIONS_TOPIC = "/lines/right/annotations"
+DEPTH_TOPIC = "/lines/depth"
 TRACKS_TOPIC = "/lines/tracks"
 CALIBRATION_TOPIC = "/camera/calibration"
 IMAGE_TOPIC = "/camera/image"
+RIGHT_CALIBRATION_TOPIC = "/camera/right/calibration"
+RIGHT_IMAGE_TOPIC = "/camera/right/image"
 SPACE_TOPIC = "/lines/space"
 TF_TOPIC = "/tf"
 JPEG_QUALITY = 80
@@ -50,6 +54,7 @@ MESSAGES_WAITING = 64  # per viewer, about half a second of a camera; the server
 _CLOSE_S = 1.0
 _CORNER = 0.5
 _FRAME_ID = "camera"
+_RIGHT_ID = "camera_right"
 _WORLD_ID = "world"
 _THICKNESS = 2.0  # px
 _FAINT = 0.4  # opacity of tentative tracks
@@ -89,19 +94,48 @@ TOPICS = {
     TRACKS_TOPIC: Topic("json", SCHEMA_NAME, "jsonschema", orjson.dumps(SCHEMA)),
 }
 
+RIGHT_TOPICS = {  # come with the first right image
+    RIGHT_CALIBRATION_TOPIC: TOPICS[CALIBRATION_TOPIC],
+    RIGHT_IMAGE_TOPIC: TOPICS[IMAGE_TOPIC],
+    RIGHT_ANNOTATIONS_TOPIC: TOPICS[ANNOTATIONS_TOPIC],
+    DEPTH_TOPIC: _protobuf(SceneUpdate),
+}
 SPACE_TOPICS = {SPACE_TOPIC: _protobuf(SceneUpdate), TF_TOPIC: _protobuf(FrameTransform)}
 
 
 def message_for(topic: str, result: FrameResult, *, labels: bool, jpeg_quality: int = JPEG_QUALITY) -> bytes | None:
-    """What a frame says on one of the `TOPICS`; None for the calibration of a camera that is not known."""
-    tracks = result.tracks
+    """What a frame says on one of the `TOPICS` or `RIGHT_TOPICS`; None for what it has not."""
     if topic == TRACKS_TOPIC:
-        return encode_tracks(tracks)
+        return encode_tracks(result.tracks)
+    message = _message_for(topic, result, labels, jpeg_quality)
+    return None if message is None else message.SerializeToString()
+
+
+def _has_right(result: FrameResult) -> bool:
+    return result.frame.right is not None or len(result.tracks.right_hits) > 0
+
+
+def _message_for(topic: str, result: FrameResult, labels: bool, jpeg_quality: int) -> Message | None:
+    tracks, frame, camera = result.tracks, result.frame, result.tracks.camera
+    if topic in RIGHT_TOPICS and not _has_right(result):
+        return None
     if topic == ANNOTATIONS_TOPIC:
-        return _annotations(tracks, labels).SerializeToString()
+        return _annotations(tracks, labels)
     if topic == IMAGE_TOPIC:
-        return _jpeg(result.frame, jpeg_quality).SerializeToString()
-    return None if tracks.camera is None else _calibration(tracks.camera, tracks.stamp_ns).SerializeToString()
+        return _jpeg(frame.image, tracks.stamp_ns, _FRAME_ID, jpeg_quality)
+    if topic == CALIBRATION_TOPIC:
+        return None if camera is None else _calibration(camera, tracks.stamp_ns)
+    if topic == RIGHT_IMAGE_TOPIC:
+        return None if frame.right is None else _jpeg(frame.right, tracks.stamp_ns, _RIGHT_ID, jpeg_quality)
+    if topic == RIGHT_CALIBRATION_TOPIC:
+        return None if camera is None or not camera.baseline_m else _right_calibration(camera, tracks.stamp_ns)
+    if topic == RIGHT_ANNOTATIONS_TOPIC:
+        partners = tracks.take(np.flatnonzero(tracks.right_hits))
+        return _annotations(replace(partners, segments_px=partners.right_px, point_ids=tracks.point_ids[:0]), labels)
+    if tracks.segments_m is None:
+        return None
+    known = np.isfinite(tracks.segments_m).all((1, 2))
+    return _lines_in_space(tracks.segments_m[known], tracks.ids[known], tracks.stamp_ns, _FRAME_ID)
 
 
 def _annotations(tracks: LineTracks, labels: bool) -> ImageAnnotations:
@@ -152,10 +186,16 @@ def _calibration(camera: CameraModel, stamp_ns: int) -> CameraCalibration:
     )
 
 
-def _jpeg(frame: Frame, quality: int) -> CompressedImage:
-    _, encoded = cv2.imencode(".jpg", to_uint8(frame.image), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    stamp = _timestamp(frame.stamp_ns)
-    return CompressedImage(timestamp=stamp, frame_id=_FRAME_ID, format="jpeg", data=encoded.tobytes())
+def _right_calibration(camera: CameraModel, stamp_ns: int) -> CameraCalibration:
+    """The second camera of a rectified pair, P[3] = -fx baseline, as ROS has it."""
+    message = _calibration(replace(camera, cx=camera.cx - camera.disparity_offset), stamp_ns)
+    message.frame_id, message.P[3] = _RIGHT_ID, -camera.fx * camera.baseline_m
+    return message
+
+
+def _jpeg(image: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, frame_id: str, quality: int) -> CompressedImage:
+    _, encoded = cv2.imencode(".jpg", to_uint8(image), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return CompressedImage(timestamp=_timestamp(stamp_ns), frame_id=frame_id, format="jpeg", data=encoded.tobytes())
 
 
 def _timestamp(stamp_ns: int) -> Timestamp:
@@ -163,10 +203,12 @@ def _timestamp(stamp_ns: int) -> Timestamp:
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
-def _lines_in_space(segments: NDArray[np.floating], ids: NDArray[np.int64], stamp_ns: int) -> SceneUpdate:
+def _lines_in_space(
+    segments: NDArray[np.floating], ids: NDArray[np.int64], stamp_ns: int, frame_id: str = _WORLD_ID
+) -> SceneUpdate:
     """All lines as one entity, which stands for those of the update before."""
     update = SceneUpdate()
-    entity = update.entities.add(id="lines", frame_id=_WORLD_ID, timestamp=_timestamp(stamp_ns))
+    entity = update.entities.add(id="lines", frame_id=frame_id, timestamp=_timestamp(stamp_ns))
     lines = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=_THICKNESS, scale_invariant=True)
     lines.pose.orientation.w = 1.0
     for x, y, z in checked_lines(segments, ids).reshape(-1, 3).tolist():
@@ -197,6 +239,8 @@ class McapTrackSink:
     | /lines/tracks | frontend.LineTracks, all fields | json |
     | /camera/calibration | foxglove.CameraCalibration, every second and when the camera changes | protobuf |
     | /camera/image | foxglove.CompressedImage, JPEG, on demand | protobuf |
+    | /lines/right/annotations, /camera/right/... | the same of a right image: partners, calibration, image | protobuf |
+    | /lines/depth | foxglove.SceneUpdate, lines in metres, in the frame "camera" | protobuf |
     | /lines/space | foxglove.SceneUpdate, by `log_lines_3d` | protobuf |
     | /tf | foxglove.FrameTransform, by `log_pose` | protobuf |
 
@@ -230,6 +274,7 @@ class McapTrackSink:
             "annotations": "shifted by half a pixel: Foxglove's (0, 0) is the corner of the top-left pixel",
         }
         self._output = McapOutput(Path(path), overwrite, metadata)
+        self._topics = [*topics, *(topic for topic in RIGHT_TOPICS if with_images or topic != RIGHT_IMAGE_TOPIC)]
         self._channels = {topic: self._output.channel(topic, *TOPICS[topic]) for topic in topics}
         self._camera: CameraModel | None = None
         self._calibrated_ns: int | None = None
@@ -239,12 +284,12 @@ class McapTrackSink:
         """Add one frame's tracks, and its image where asked for."""
         calibrate = self._calibration_is_due(result.tracks)
         self._now_ns = result.tracks.stamp_ns
-        for topic, channel in self._channels.items():
-            if topic in SPACE_TOPICS or (topic == CALIBRATION_TOPIC and not calibrate):
+        for topic in self._topics:
+            if topic in (CALIBRATION_TOPIC, RIGHT_CALIBRATION_TOPIC) and not calibrate:
                 continue
             data = message_for(topic, result, labels=self._labels, jpeg_quality=self._quality)
             if data is not None:
-                self._output.write(channel, result.tracks.stamp_ns, data)
+                self._output.write(self._channel(topic), result.tracks.stamp_ns, data)
         self._output.flush_when_due()
 
     def log_pose(self, world_T_camera: NDArray[np.floating]) -> None:
@@ -261,9 +306,12 @@ class McapTrackSink:
         return self._now_ns
 
     def _write_space(self, topic: str, message: Message) -> None:
+        self._output.write(self._channel(topic), self._now(), message.SerializeToString())
+
+    def _channel(self, topic: str) -> int:
         if topic not in self._channels:
-            self._channels[topic] = self._output.channel(topic, *SPACE_TOPICS[topic])
-        self._output.write(self._channels[topic], self._now(), message.SerializeToString())
+            self._channels[topic] = self._output.channel(topic, *(RIGHT_TOPICS | SPACE_TOPICS)[topic])
+        return self._channels[topic]
 
     def close(self) -> None:
         """Write the file's index; safe to call twice."""
@@ -304,14 +352,19 @@ class FoxgloveServer:
             reason = str(error).rpartition(": ")[2].partition(" (os error")[0]
             raise cannot_publish(address, reason) from None
         self.address = str(Address("ws", address.host, self._server.port))
-        self._channels = {}
-        for name, topic in TOPICS.items():
+
+        def channel(name: str, topic: Topic) -> Any:
             schema = Schema(name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
-            self._channels[name] = Channel(name, schema=schema, message_encoding=topic.encoding, context=context)
+            return Channel(name, schema=schema, message_encoding=topic.encoding, context=context)
+
+        self._channel = channel
+        self._channels = {name: channel(name, topic) for name, topic in TOPICS.items()}
 
     def write(self, result: FrameResult) -> None:
         """Send one frame's tracks and image."""
         stamp_ns = max(0, result.tracks.stamp_ns)  # viewers have no time before the epoch
+        if _has_right(result) and len(self._channels) == len(TOPICS):
+            self._channels |= {name: self._channel(name, topic) for name, topic in RIGHT_TOPICS.items()}
         for topic, channel in self._channels.items():
             if channel.has_sinks() and (data := message_for(topic, result, labels=self._labels)) is not None:
                 channel.log(data, log_time=stamp_ns)

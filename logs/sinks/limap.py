@@ -94,7 +94,7 @@ class LimapTrackSink:
             file.write(b"image_id,stamp_ns,name\n")
         self._window: deque[tuple[int, NDArray[np.int64], dict[int, NDArray[np.int32]]]] = deque()
         self._camera: str | None = None
-        self._points = 0  # that were left out
+        self._points = self._partners = 0  # that were left out
         self._last, self._last_name, self._in_order = -1, "", True
 
     def write(self, result: FrameResult) -> None:
@@ -110,6 +110,7 @@ class LimapTrackSink:
         with self._images.writing(), errors_of(self._folder):
             self._write_camera(tracks.camera)
         self._points += len(tracks.point_ids)
+        self._partners += int(np.count_nonzero(tracks.right_hits))
         self.add(tracks.frame_index + 1, name, tracks.stamp_ns, *_lines(tracks))
 
     def add(
@@ -137,6 +138,8 @@ class LimapTrackSink:
             finish_folder(self._folder, self._neighbours)
             if self._points:
                 log.warning("'%s': LIMAP takes no points, %d are left out", self._folder, self._points)
+            if self._partners:
+                log.warning("'%s': LIMAP takes the left lines, %d partners are left out", self._folder, self._partners)
 
     def _match(self, image: int, ids: NDArray[np.int64]) -> None:
         """Match with the images before; an image is done with when its last neighbour has been seen."""

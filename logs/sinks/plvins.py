@@ -3,7 +3,8 @@
 PL-VINS (Fu et al., "PL-VINS: Real-Time Monocular Visual-Inertial SLAM with Point and Line Features", 2020), EPLF-VINS
 (Xu et al., "EPLF-VINS: Real-Time Monocular Visual-Inertial SLAM With Efficient Point-Line Flow Features", 2023) and
 UV-SLAM (Lim et al., "UV-SLAM: Unconstrained Line-based SLAM Using Vanishing Points for Structural Mapping", 2022) are
-ROS 1 systems. Play this file instead of running their trackers; `logs.sinks.clouds` has topics and channels.
+ROS 1 systems, and monocular: of a pair of cameras they get the left one's lines. Play this file instead of running
+their trackers; `logs.sinks.clouds` has topics and channels.
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ class VinsSink:
     ) -> None:
         self._messages, kind = Messages(system, stride, points), SYSTEMS[system]
         self._store = get_typestore(Stores.ROS1_NOETIC)
-        self._count = 0
+        self._count = self._partners = 0
+        self._name = kind.name
         self._output = (
             BagOutput(Path(path), overwrite) if bag else McapOutput(Path(path), overwrite, {}, profile="ros1")
         )
@@ -209,6 +211,7 @@ class VinsSink:
         if not 0 <= stamp_ns < 2**32 * SECOND_NS:
             raise InputError(f"ROS 1 has no time {stamp_ns} ns: it counts from 1970 to 2106")
         found = self._messages.of_frame(result.tracks)
+        self._partners += int(np.count_nonzero(result.tracks.right_hits))
         if self._restart is not None and self._messages.jumped:
             self._restart(stamp_ns, self._bytes(self._store.types[_BOOL](data=True)))
         for observed in found:
@@ -221,6 +224,9 @@ class VinsSink:
         """Write the file's index; safe to call twice."""
         if self._output.is_open and self._messages.silent:
             log.warning("%s: %d frames have no message, for want of points", self._output.path, self._messages.silent)
+        if self._output.is_open and self._partners:
+            said = "%s: %s takes the left lines, %d partners are left out"
+            log.warning(said, self._output.path, self._name, self._partners)
         self._output.close()
 
     def _topic(self, topic: str, kind: str) -> Callable[[int, bytes], None]:

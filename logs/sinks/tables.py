@@ -12,6 +12,7 @@ import logging
 import os
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
@@ -24,10 +25,10 @@ from frontend.tracks import LineTracks
 from logs.read import read_journal
 from logs.sinks.output import OutputFile, check_csv, check_new, check_table, journal_of, tables_of, whole_file
 from logs.tracks.json import Camera
-from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes, points_of, to_batch
+from logs.tracks.table import FRAME_COLUMNS, RIGHT_COLUMNS, SCHEMA, TableNotes, points_of, to_batch
 
-_ROWS_WAITING = 50_000  # at most, 11 MB
-_GROUP_ROWS = 100_000  # 22 MB
+_ROWS_WAITING = 50_000  # at most, 21 MB
+_GROUP_ROWS = 100_000  # 42 MB
 _DESCRIPTOR_LENGTH = 6  # of a CSV file without rows
 _NOT_IN_CSV = ("descriptor", *FRAME_COLUMNS)
 
@@ -57,7 +58,8 @@ class ParquetTrackSink:
         self._place = 0
         self._camera: CameraModel | None = None
         with self._output.writing() as file:
-            self._stream = pa.ipc.new_stream(file, SCHEMA)
+            options = pa.ipc.IpcWriteOptions(compression="lz4")  # without a right image a third is null
+            self._stream = pa.ipc.new_stream(file, SCHEMA, options=options)
             self._write_batch()  # the header is on its way with the first batch only
 
     def write(self, result: FrameResult) -> None:
@@ -141,11 +143,12 @@ class CsvTrackSink:
     """Writes each frame's tracks into a CSV file, one line per observation; a `Sink`.
 
     The columns are those of the Parquet file, with the descriptor as d0, d1, ... and without what belongs to a whole
-    frame. Floats have the shortest text that reads back as the same float32, always with a point or an exponent, and
-    NaN where there is none: whatever stands in the first lines, readers that guess types find the right ones. All
-    frames, those without lines too, are listed in NAME.frames.csv, with their number of lines and the reason of a
-    reset; points in NAME.points.csv, where there are any. Neither is written where the file is a pipe or device, and
-    `close` warns of the points.
+    frame. Those of a right image are there where the first frame with lines has one: later frames without have NaN, 0
+    and false, and of partners that come later `close` warns, which are left out. Floats have the shortest text that
+    reads back as the same float32, always with a point or an exponent, and NaN where there is none: whatever stands in
+    the first lines, readers that guess types find the right ones. All frames, those without lines too, are listed in
+    NAME.frames.csv, with their number of lines and the reason of a reset; points in NAME.points.csv, where there are
+    any. Neither is written where the file is a pipe or device, and `close` warns of the points.
     Arguments and errors are those of `OutputFile`.
     """
 
@@ -157,12 +160,14 @@ class CsvTrackSink:
         self._table = OutputFile(frames, overwrite) if path.is_file() else None
         self._points: OutputFile | None = None
         self._left_out = 0  # points
+        self._paired: bool | None = None  # whether the first lines came with a right image
+        self._partners_left_out = 0
         if self._table is not None:
             with errors_of(self._points_path):
                 self._points_path.unlink(missing_ok=True)
         self._frames: list[LineTracks] = []
         self._descriptor_length: int | None = None
-        self._header_written = False
+        self._header_written = self._listed = False
 
     def write(self, result: FrameResult) -> None:
         """Add one frame's tracks."""
@@ -175,6 +180,10 @@ class CsvTrackSink:
                     f"but frame {tracks.frame_index} has {length}"
                 )
             self._descriptor_length = length
+            if self._paired is None:
+                self._paired = len(tracks.right_hits) > 0
+            if not self._paired:
+                self._partners_left_out += int(np.count_nonzero(tracks.right_hits))
         self._frames.append(tracks)
         if _is_due(self._output, self._frames):
             self._flush()
@@ -184,6 +193,8 @@ class CsvTrackSink:
         try:
             if self._output.is_open:
                 self._flush()
+                if not self._header_written:
+                    self._write_rows(to_batch([]))
                 self._output.close()
                 if self._left_out:
                     log.warning(
@@ -191,6 +202,12 @@ class CsvTrackSink:
                         self._output.path,
                         self._left_out,
                         "NAME.points.csv",
+                    )
+                if self._partners_left_out:
+                    log.warning(
+                        "'%s' has no columns for the right image, which the first lines had not: "
+                        "the partners of %d lines are left out; Parquet has both kinds of frames",
+                        *(self._output.path, self._partners_left_out),
                     )
         finally:
             for table in (self._table, self._points):
@@ -200,7 +217,7 @@ class CsvTrackSink:
     def _flush(self) -> None:
         table, listed = to_batch(self._frames), io.StringIO()
         rows = csv.writer(listed, lineterminator="\n")
-        if not self._header_written:
+        if not self._listed:
             rows.writerow(("frame", "stamp_ns", "lines", "reset"))
         rows.writerows((one.frame_index, one.stamp_ns, len(one), one.reset) for one in self._frames)
         with_points = [one for one in self._frames if len(one.point_ids)]
@@ -210,14 +227,24 @@ class CsvTrackSink:
         elif self._table is None:
             self._left_out += sum(len(one.point_ids) for one in with_points)
         self._frames = []
+        if len(table):  # the first tell the columns
+            self._write_rows(table)
+        if self._table is not None:
+            _append(self._table, listed.getvalue().encode())
+        self._listed = True
+
+    def _write_rows(self, table: pa.RecordBatch) -> None:
         length = _DESCRIPTOR_LENGTH if self._descriptor_length is None else self._descriptor_length
         descriptors = table.column("descriptor").flatten().to_numpy().reshape(len(table), length)
         columns = dict(zip(table.schema.names, table.columns, strict=True))
         columns |= {f"d{k}": pa.array(descriptors[:, k]) for k in range(length)}
+        for name in RIGHT_COLUMNS:
+            if not self._paired:
+                del columns[name]
+            elif not pa.types.is_floating(columns[name].type):
+                columns[name] = columns[name].fill_null(pa.scalar(0).cast(columns[name].type))
         columns = {name: column for name, column in columns.items() if name not in _NOT_IN_CSV}
         _append(self._output, _as_csv(pa.table(columns), not self._header_written))
-        if self._table is not None:
-            _append(self._table, listed.getvalue().encode())
         self._header_written = True
 
 

@@ -28,6 +28,8 @@ CONVENTIONS = {
     "track ids": "integers that stay with a line over the frames and are never used again",
     "states": ", ".join(f"{state.value} {state.name.lower()}" for state in TrackState),
     "covariance": "of a line's errors: offset across itself at its middle (px, or of the plane), and angle (radians)",
+    "disparity": "x in the left image minus x in the right one, in the same row",
+    "metres": "in the frame of the rectified left camera: x to the right, y down, z forward",
     "schema version": "1",
 }
 
@@ -90,6 +92,8 @@ def assembled(
             raise ValueError(f"array '{field.name}' is missing")
         if len(complete[field.name]) != count:
             raise ValueError("its arrays have different lengths")
+    if len(complete["right_hits"]) not in (0, len(complete["ids"])):
+        raise ValueError("only some of its tracks have a right image")
     if (complete["states"] > max(TrackState)).any():
         raise ValueError("a track has an unknown state")
     return LineTracks(frame_index, stamp_ns, **complete, camera=camera, reset=reset)
@@ -159,7 +163,7 @@ def _schema(field: Field) -> dict[str, Any]:
     items: dict[str, Any] = {"type": types.get(field.dtype.kind, "integer")}
     for size in reversed(field.shape):
         items = {"type": "array", **({} if size < 0 else {"minItems": size, "maxItems": size}), "items": items}
-    kind = ["array", "null"] if field in DERIVED else "array"  # null without a camera
+    kind = ["array", "null"] if field in DERIVED else "array"  # null without a camera or right image
     return {"type": kind, "items": items, "description": field.text}
 
 
@@ -190,6 +194,8 @@ _CAMERA = {
     **{"width": _PIXELS, "height": _PIXELS, "fx": _FOCAL, "fy": _FOCAL, "cx": _PRINCIPAL, "cy": _PRINCIPAL},
     "distortion": {"type": "string", "enum": _LENS, "description": "model of the lens"},
     "coefficients": {"type": "array", "items": {"type": "number"}, "description": _COEFFICIENTS},
+    "baseline_m": {"type": "number", "description": "how far right of it the rectified second camera is, m; 0: none"},
+    "disparity_offset": {"type": "number", "description": "disparity of points at infinity, px"},
 }
 _TIME = {"sec": {"type": "integer"}, "nsec": {"type": "integer", "minimum": 0, "maximum": SECOND_NS - 1}}
 

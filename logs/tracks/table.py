@@ -1,7 +1,8 @@
 """Tracked lines as a table: one row per observation, and back to `LineTracks`, exactly.
 
 What belongs to a frame rather than to one of its observations stands in the first row of the frame and is null in the
-others. Frames without any row, and the cameras, do not fit a table: `TableNotes` holds them, as JSON in the metadata.
+others; what a right image tells is null in the rows of frames without one. Frames without any row, and the cameras, do
+not fit a table: `TableNotes` holds them, as JSON in the metadata.
 """
 
 from __future__ import annotations
@@ -29,21 +30,22 @@ _ORDER = (
     *("line_indices", "covariances", "descriptors"),
 )
 _SEEN = sorted(
-    (one for one in (*FIELDS, *DERIVED) if one.rows == "seen"),
+    (one for one in (*FIELDS, *DERIVED) if one.rows in ("seen", "right")),
     key=lambda one: _ORDER.index(one.name) if one.name in _ORDER else len(_ORDER),
 )
-_PER_FRAME = [one for one in (*FIELDS, *DERIVED) if one.rows != "seen"]
+_PER_FRAME = [one for one in (*FIELDS, *DERIVED) if one.rows not in ("seen", "right")]
 _MOST_ROWS = 1_000_000  # of a frame
 _DAMAGED = "its rows are damaged"
 
 
 def _columns(one: Field) -> list[pa.Field]:
-    kind, nullable, meaning = pa.from_numpy_dtype(one.dtype), one in DERIVED, one.meaning
+    kind, meaning = pa.from_numpy_dtype(one.dtype), one.meaning
+    nullable = one in DERIVED or one.rows == "right"
     if one.words:
         kind, meaning = pa.string(), " or ".join(one.words)
-    if one.rows != "seen":
+    if one in _PER_FRAME:
         nullable, meaning = True, f"in the first row of each frame, null in the others: {meaning}"
-    if one.rows != "seen" or one.shape == (-1,):
+    if one in _PER_FRAME or one.shape == (-1,):
         kind = pa.list_(kind)
     units = dict(one.numbers)  # a name that comes twice is one column
     return [
@@ -65,8 +67,10 @@ SCHEMA = pa.schema(
     },
 )
 FRAME_COLUMNS = [name for one in _PER_FRAME for name, _ in one.numbers] + ["reset"]
+RIGHT_COLUMNS = list(dict.fromkeys(name for one in _SEEN if one.rows == "right" for name, _ in one.numbers))
 _WORDS = {one.numbers[0][0]: one for one in FIELDS if one.words}
 _LATER = {name for one in FIELDS if one.older is not None for name, _ in one.numbers}
+_RIGHT = {one.name for one in FIELDS if one.rows == "right"}
 _DERIVED = {name for one in DERIVED for name, _ in one.numbers}
 
 
@@ -131,12 +135,21 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
         "frame": np.repeat(np.array([tracks.frame_index for tracks in frames], np.int64), counts),
         "reset": in_first_rows(tracks.reset for tracks in frames),
     }
-    by_camera = [_joined([*run]) for _, run in groupby(frames, key=lambda tracks: id(tracks.camera))]
+    runs = groupby(frames, key=lambda tracks: (id(tracks.camera), len(tracks.right_hits) > 0))
+    masks: dict[str, NDArray[np.bool_]] = {}
+    by_camera = [_joined([*run]) for _, run in runs]
     for one in (*FIELDS, *DERIVED):
         names = [name for name, _ in one.numbers]
-        values = [_values(tracks, one) for tracks in (by_camera if one in DERIVED and one.rows == "seen" else frames)]
+        sources = by_camera if one in DERIVED and one not in _PER_FRAME else frames
+        absent = [_is_absent(tracks, one) for tracks in sources]
+        if all(absent):
+            columns |= {name: pa.nulls(sum(counts), SCHEMA.field(name).type) for name in names}
+            continue
+        if any(absent):
+            masks |= dict.fromkeys(names, np.repeat(absent, [len(tracks) for tracks in sources]))
+        values = [_values(tracks, one) for tracks in sources]
         flat = np.concatenate([np.empty(0, one.dtype), *(value.ravel() for value in values)])
-        if one.rows != "seen":
+        if one in _PER_FRAME:
             split = [value.reshape(-1, len(names)).T for value in values]
             columns |= {name: in_first_rows(parts[k] for parts in split) for k, name in enumerate(names)}
         elif one.shape == (-1,):
@@ -146,22 +159,27 @@ def to_batch(frames: Sequence[LineTracks]) -> pa.RecordBatch:
             columns[names[0]] = pa.array(one.words).take(pa.array(flat))
         else:
             columns |= zip(names, flat.reshape(-1, len(names)).T, strict=True)
-    no_camera = np.repeat(np.array([tracks.camera is None for tracks in frames], np.bool_), counts)
-    arrays = [pa.array(columns[one.name], one.type, mask=no_camera if one.name in _DERIVED else None) for one in SCHEMA]
+    arrays = [pa.array(columns[one.name], one.type, mask=masks.get(one.name)) for one in SCHEMA]
     return pa.record_batch(arrays, schema=SCHEMA)
 
 
 def _joined(frames: list[LineTracks]) -> LineTracks:
     """Frames of one camera as one, for what is derived: lenses take the points of many as fast as those of one."""
-    inputs = ("ids", "segments_px", "observed_px", "observed_covariances")
+    inputs = ["ids", "segments_px", "observed_px", "observed_covariances", *_RIGHT]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in frames]) for name in inputs}
     return replace(frames[0], **arrays)
 
 
+def _is_absent(tracks: LineTracks, one: Field) -> bool:
+    """Whether there is no such array, for want of a camera or of a right image."""
+    return getattr(tracks, one.name) is None or (one.rows == "right" and len(tracks) > len(tracks.right_hits))
+
+
 def _values(tracks: LineTracks, one: Field) -> NDArray[Any]:
-    values = getattr(tracks, one.name)
-    count = len(getattr(tracks, ROWS[one.rows][1]))
-    return np.full((count, *one.shape), np.nan, one.dtype) if values is None else np.asarray(values, one.dtype)
+    if _is_absent(tracks, one):
+        count = len(getattr(tracks, ROWS["seen" if one.rows == "right" else one.rows][1]))
+        return np.full((count, *one.shape), np.nan if one.dtype.kind == "f" else 0, one.dtype)
+    return np.asarray(getattr(tracks, one.name), one.dtype)
 
 
 def points_of(frames: Sequence[LineTracks]) -> pa.Table:
@@ -248,25 +266,29 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
             columns[name] = pc.index_in(columns[name], pa.array(one.words)).fill_null(unknown).cast(one.dtype.name)
     starts = np.flatnonzero(columns["lost_ids"].is_valid())
     frames, stamps = _numbers(columns["frame"]), _numbers(columns["stamp_ns"])
-    fixed, open_rows = {}, {}
+    fixed, open_rows, paired = {}, {}, np.zeros(len(rows), np.bool_)
+    if "right_hits" in columns:  # not in older files
+        paired = columns["right_hits"].is_valid().to_numpy(zero_copy_only=False)
     for one in FIELDS:
         names = [name for name, _ in one.numbers]
-        if one.rows != "seen" or names[0] not in columns:
+        if one in _PER_FRAME or names[0] not in columns:
             continue
         if one.shape == (-1,):
             lists = columns[names[0]]
             lengths = _numbers(lists.value_lengths())  # null for a list that is
             open_rows[one.name] = _numbers(lists.flatten()), lengths, np.concatenate([[0], np.cumsum(lengths)])
         else:
-            fixed[one.name] = np.stack([_numbers(columns[name]) for name in names], 1).reshape(-1, *one.shape)
+            known = paired if one.rows == "right" else True
+            fixed[one.name] = np.stack([_numbers(columns[name], known) for name in names], 1).reshape(-1, *one.shape)
     whole = [one for one in _PER_FRAME if one not in DERIVED]  # journals have these too
     for start, end in zip(starts, [*starts, len(rows)][1:], strict=True):
         own = slice(start, end)
         if any(
-            (values[own] != values[start]).any() for values in (frames, stamps, *(o[1] for o in open_rows.values()))
+            (values[own] != values[start]).any()
+            for values in (frames, stamps, paired, *(o[1] for o in open_rows.values()))
         ):
             raise InputError(f"{_DAMAGED}: those of one frame disagree")
-        arrays = {name: values[own].copy() for name, values in fixed.items()}
+        arrays = {name: values[own].copy() for name, values in fixed.items() if paired[start] or name not in _RIGHT}
         for name, (values, lengths, ends) in open_rows.items():
             arrays[name] = values[ends[start] : ends[end]].reshape(end - start, lengths[start]).copy()
         for one in whole:
@@ -276,9 +298,11 @@ def _split(rows: pa.Table) -> Iterator[_Frame]:
         yield int(frames[start]), int(stamps[start]), arrays, columns["reset"][start].as_py()
 
 
-def _numbers(column: pa.Array) -> NDArray[Any]:
-    if column.null_count:
-        raise InputError(f"{_DAMAGED}: numbers are missing")
+def _numbers(column: pa.Array, known: NDArray[np.bool_] | bool = True) -> NDArray[Any]:
+    if column.null_count or known is not True:
+        if (column.is_valid().to_numpy(zero_copy_only=False) != known).any():
+            raise InputError(f"{_DAMAGED}: numbers are missing")
+        column = column.fill_null(pa.scalar(0).cast(column.type))
     return column.to_numpy(zero_copy_only=False)  # type: ignore[no-any-return]
 
 

@@ -90,6 +90,7 @@ def test_calibrations_of_one_rig_agree(tmp_path: Path) -> None:
         "Kalibr's chain": read_pair(chain, ("a", "b")),
         "Kalibr by IMU": read_pair(by_imu, folders),
         "KITTI raw": read_pair(kitti, ("x_extract/image_00", "x_extract/image_01")),
+        "Kalibr by topic": read_pair(chain, ("/topic_1", "/topic_0"))[::-1],
         "one camera each": (read_calibration(chain, "cam0"), read_calibration(chain, "right/data")),
     }
     euroc = [write(tmp_path / name, rigs.euroc(one)) for name, one in (("0.yaml", left), ("1.yaml", right))]
@@ -120,6 +121,18 @@ def test_calibrations_of_one_rig_agree(tmp_path: Path) -> None:
         for ours, true in zip(cameras, (left, right), strict=True):
             assert ours.fx == true.fx, name
             np.testing.assert_array_equal(ours.coefficients[:4], true.coefficients, err_msg=name)
+
+
+def test_rectified_messages() -> None:
+    cameras = rig()
+    found = []
+    for camera, (r, p) in zip(cameras, rigs.rectification(*cameras), strict=True):
+        numbers = (tuple(matrix.ravel()) for matrix in (camera.matrix, r, p))
+        found.append(camera_of(CameraInfo(0, "", 640, 480, "plumb_bob", (0.1,) * 5, *numbers), (320, 240), True))
+    rectifier = Rectifier(*found)
+    assert not rectifier.remaps
+    assert rectifier.camera.baseline_m == pytest.approx(np.linalg.norm([0.12, 0.006, 0.004]))
+    assert (rectifier.camera.fx, rectifier.camera.distortion) == (200, "none")
 
 
 PLACES = "718.856 0 607.1928 {x} 0 718.856 185.2157 {y} 0 0 1 {z}"

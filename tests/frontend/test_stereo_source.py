@@ -46,7 +46,7 @@ moments = st.lists(
 
 
 @given(moments=moments, given_gap=st.booleans(), offset=st.integers(-STEP // 20, STEP // 20))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_all_pairs_that_exist(moments: list[tuple[bool, bool, int, int]], given_gap: bool, offset: int) -> None:
     steady = [(True, True, 0, 0)] * 3 if not given_gap else []  # that tell the period
     times = [k * STEP for k in range(len(steady + moments))]
@@ -69,7 +69,7 @@ def test_all_pairs_that_exist(moments: list[tuple[bool, bool, int, int]], given_
 
 
 @given(left=st.sets(st.integers(0, 300), max_size=25), right=st.sets(st.integers(0, 300), max_size=25))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_times(left: set[int], right: set[int]) -> None:
     """One to one, within the gap, in order; no two that are left over are a pair; nobody is nearer who was left."""
     lefts, rights = sorted(left), sorted(right)

@@ -94,6 +94,27 @@ def test_memory_does_not_grow_with_the_run() -> None:
     assert counter.summary(Source()).stage_ms["sinks"] == pytest.approx(statistics.median(times[-WINDOW:]), abs=0.0005)
 
 
+def test_partners_are_counted_where_there_is_a_right_image() -> None:
+    """Of four tracks, the last two are confirmed; only the upright one of the last frame has a depth."""
+    counter = SummaryCounter(3)
+    segments = np.tile(np.float32([[9, 5], [50, 5]]), (4, 1, 1))
+    segments[3] = [[60, 10], [60, 50]]
+    tracks = blank_tracks(4, observed_px=segments, states=np.uint8([0, 0, 1, 1]))
+    right = {"right_covariances": np.zeros((4, 2, 2), np.float32), "right_measured": np.zeros(4, np.bool_)}
+    for hits in ([0, 0, 0, 0], [2, 1, 1, 2]):
+        partners = np.where(np.array(hits)[:, None, None] > 0, segments - np.float32([7, 0]), np.float32(np.nan))
+        found = replace(tracks, right_px=partners, right_hits=np.array(hits, np.int32), **right)
+        counter.add(result(found, 4, {}), 0.0)
+    counter.add(result(replace(blank_tracks(0)), 0, {}), 0.0)
+    summary = counter.summary(Source())
+    assert (summary.partners_per_frame, summary.partner_share, summary.depth_known_share) == (1.33, 0.5, 0.25)
+    cells = dict(zip(*(column.cells for column in summary.table().columns[1:]), strict=True))
+    assert cells["of these with a partner"] == "1.3 (50.0% of the confirmed, 25.0% with depth)"
+    mono = SummaryCounter(3).summary(Source())
+    assert (mono.partners_per_frame, mono.to_dict()["partner_share"], mono.depth_known_share) == (None, None, None)
+    assert "of these with a partner" not in mono.table().columns[1].cells
+
+
 def test_points_are_counted_and_said_where_there_are_any() -> None:
     counter = SummaryCounter(3)
     for count in (3, 0, 4):

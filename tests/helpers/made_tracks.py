@@ -20,6 +20,7 @@ from frontend.sources.scene import SceneSource
 from frontend.tracks import FIELDS, LineTracks
 
 CAMERA = CameraModel(320, 240, 250.5, 251.25, 159.7, 119.9, "radial-tangential", np.array([-0.28, 0.07, 2e-4, 2e-5]))
+PAIR = CameraModel(320, 240, 250.5, 251.25, 159.7, 119.9, baseline_m=0.11, disparity_offset=-1.25)
 FISHEYE = CameraModel(320, 240, 200.0, 201.0, 160.1, 120.3, "equidistant", np.array([-0.01, 0.02, -0.01, 0.002]))
 
 
@@ -80,9 +81,13 @@ def made_tracks(
     camera: CameraModel | None = CAMERA,
     reset: str | None = None,
     length: int = 6,
+    right: bool = False,
 ) -> LineTracks:
-    """Random tracks with these ids, in an image of 320 x 240 px; every field of the table has numbers."""
-    counts = {"seen": len(ids), "lost": lost, "ended": ended, "points": points}
+    """Random tracks with these ids, in an image of 320 x 240 px; every field of the table has numbers.
+
+    With a right image two of three tracks have a partner, most of them with a disparity that tells a depth.
+    """
+    counts = {"seen": len(ids), "right": len(ids) if right else 0, "lost": lost, "ended": ended, "points": points}
     arrays: dict[str, Any] = {}
     for field in FIELDS:
         shape = (counts[field.rows], *(length if n < 0 else n for n in field.shape))
@@ -94,6 +99,15 @@ def made_tracks(
     arrays["ids"] = np.sort(np.asarray(ids, np.int64))
     for name in ("covariances", "observed_covariances"):
         arrays[name][:, 1, 0] = arrays[name][:, 0, 1]
+    if right:
+        for name in ("observed_covariances", "right_covariances"):
+            arrays[name] *= 1e-6
+        arrays["right_covariances"][:, 1, 0] = arrays["right_covariances"][:, 0, 1]
+        arrays["right_px"] = arrays["observed_px"] - np.float32([1, 0]) * rng.uniform(2, 40, (len(ids), 1, 1))
+        arrays["right_px"] = arrays["right_px"].astype(np.float32)
+        alone = np.arange(len(ids)) % 3 == 1
+        arrays["right_px"][alone] = arrays["right_covariances"][alone] = np.nan
+        arrays["right_hits"][alone] = arrays["right_measured"][alone] = 0
     arrays["line_indices"][arrays["measured"]] = -1
     arrays["fragment_of"][rng.random(len(ids)) < 0.8] = -1
     return LineTracks(frame, stamp_ns, **arrays, camera=camera, reset=reset)
@@ -101,7 +115,10 @@ def made_tracks(
 
 @st.composite
 def streams(draw: st.DrawFn) -> list[LineTracks]:
-    """A few frames: empty ones, NaN and other odd numbers, large ids, lost and ended tracks, resets, other cameras."""
+    """A few frames: empty ones, NaN and other odd numbers, large ids, lost and ended tracks, resets, other cameras.
+
+    Some have a right image.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     frames = []
     index, stamp_ns = draw(st.integers(0, 2**40)), draw(st.integers(0, 2**62))
@@ -112,15 +129,16 @@ def streams(draw: st.DrawFn) -> list[LineTracks]:
             lost=draw(st.integers(0, 3)),
             ended=draw(st.integers(0, 3)),
             points=draw(st.integers(0, 3)),
-            camera=draw(st.sampled_from([CAMERA, CAMERA, FISHEYE, None])),
+            camera=draw(st.sampled_from([CAMERA, PAIR, PAIR, FISHEYE, None])),
             reset=draw(st.none() | st.text(max_size=20)),
             length=draw(st.sampled_from([6, 6, 6, 1])),
+            right=draw(st.booleans()),
         )
         odd = draw(st.lists(st.floats(width=32, allow_infinity=False), max_size=len(tracks)))
         places = (tracks.covariances[:, 0, 0], tracks.scores, tracks.segments_px[:, 1, 0], tracks.descriptors[:, 0])
-        places += (tracks.observed_px[:, 0, 1], tracks.observed_covariances[:, 1, 1])
+        places += (tracks.observed_px[:, 0, 1], tracks.observed_covariances[:, 1, 1], tracks.right_px[:, 1, 0])
         for values in places:
-            values[: len(odd)] = odd
+            values[: len(odd)] = odd[: len(values)]
         frames.append(tracks)
         index += draw(st.integers(1, 1000))
         stamp_ns += draw(st.integers(1, 10**9))

@@ -66,7 +66,8 @@ def kalibr(left: CameraModel, right: CameraModel, *, imu: bool = False) -> str:
         places = "".join(f"  - {rows_of(row)}\n" for row in pose) if imu or camera is right else ""
         text += f"""{name}:
 {f"  {key}:" if places else ""}
-{places}  camera_model: pinhole
+{places}  rostopic: /{name.replace("cam", "topic_")}
+  camera_model: pinhole
   distortion_model: {"radtan" if camera.distortion == "radial-tangential" else camera.distortion}
   distortion_coeffs: {rows_of(camera.coefficients)}
   intrinsics: [{camera.fx!r}, {camera.fy!r}, {camera.cx!r}, {camera.cy!r}]

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from logs.sinks.foxglove import TOPICS, FoxgloveServer, message_for
+from logs.sinks.foxglove import RIGHT_TOPICS, TOPICS, FoxgloveServer, message_for
 from logs.sinks.open import open_publisher
 from logs.tracks.json import decode_tracks
 from tests.helpers.foxglove_client import FoxgloveClient
-from tests.helpers.made_tracks import assert_same, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import PAIR, assert_same, clip_results, made_tracks, result_of
 
 
 @pytest.fixture
@@ -47,6 +47,18 @@ def test_channels_are_those_of_the_file(server: FoxgloveServer) -> None:
             topic = TOPICS[name]
             assert (channel["schemaName"], channel["encoding"]) == (topic.schema_name, topic.encoding)
         assert base64.b64decode(client.channels["/camera/image"]["schema"]) == TOPICS["/camera/image"].schema
+
+
+def test_channels_of_a_right_image_come_with_the_first(server: FoxgloveServer) -> None:
+    result = result_of(made_tracks(0, 5, np.arange(9), np.random.default_rng(0), camera=PAIR, right=True))
+    result = replace(result, frame=replace(result.frame, right=result.frame.image))
+    server.write(result)
+    with closing(FoxgloveClient(server.address)) as client:
+        assert client.channels.keys() == TOPICS.keys() | RIGHT_TOPICS.keys()
+        client.subscribe(*RIGHT_TOPICS)
+        found = write_until_seen(server, client, result, len(RIGHT_TOPICS))
+    for topic, (log_ns, data) in found.items():
+        assert (log_ns, data) == (5, message_for(topic, result, labels=True))
 
 
 def test_a_viewer_gets_lines_image_and_camera(server: FoxgloveServer) -> None:

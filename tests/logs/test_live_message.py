@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from airline.errors import InputError
 from frontend.tracks import DERIVED, Field, LineTracks
 from logs.tracks.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
-from tests.helpers.made_tracks import CAMERA, assert_same, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import PAIR, assert_same, clip_results, made_tracks, result_of
 
 ENVELOPE = {"stream": 17, "sequence": 3, "name": "clip", "sent_ns": 2**62}
 TRACKS = made_tracks(7, 8, np.array([3, 5, 2**40]), np.random.default_rng(0), lost=2, ended=1, reset="a scene cut")
@@ -55,13 +55,16 @@ def test_arrays_are_what_the_page_says() -> None:
 
 @pytest.mark.parametrize("field", DERIVED, ids=lambda field: field.name)
 def test_what_is_derived_is_nan_without_a_camera(field: Field) -> None:
-    for camera in (CAMERA, None):
-        tracks = made_tracks(0, 0, np.arange(4), np.random.default_rng(0), points=4, camera=camera)
+    """Of lines in space there is a number for each with a depth; disparities need no camera."""
+    for camera in (PAIR, None):
+        tracks = made_tracks(0, 0, np.arange(99), np.random.default_rng(0), points=4, camera=camera, right=True)
+        tracks = tracks.take(np.flatnonzero(tracks.depth_known)[:4])
         message = msgspec.msgpack.decode(encoded(tracks))
         assert (message["camera"] is None) == (camera is None)
         array = message["arrays"][field.name]
         numbers = np.frombuffer(array["data"], array["dtype"]).reshape(4, *field.shape)
-        assert (np.isnan(numbers) == (camera is None)).all()
+        needs_camera = field.rows != "right" or field.name.startswith("segments_m")
+        assert (np.isnan(numbers) == (camera is None and needs_camera)).all()
 
 
 def test_of_programs_before_strides_every_frame_is_taken() -> None:
@@ -103,6 +106,7 @@ def test_what_is_no_message_or_was_cut_is_refused(data: bytes) -> None:
         (with_array("scores", shape=[4], data=bytes(16)), r"'scores': it is <f4 \[4\], not <f4 \[3\]"),
         (with_array("segments_px", shape=[3, 4]), "'segments_px': it is"),
         (with_array("descriptors", shape=[3, 2**31 - 1]), "'descriptors': it has"),
+        (with_array("right_hits", shape=[2], data=bytes(8)), "'right_px': it is|only some of its tracks"),
         (with_array("states", data=b"\0\1\2"), "unknown state"),
         (with_array("lost_segments_px", shape=[1, 2, 2], data=bytes(16)), "'lost_segments_px'"),
         (with_array("ended_ids", shape=[-1]), ">= 0"),

@@ -29,6 +29,7 @@ from logs.tracks.json import SCHEMA, decode_tracks, encode_tracks
 from logs.tracks.message import decode, encode
 from tests.helpers.command import ROOT
 from tests.helpers.made_tracks import (
+    PAIR,
     assert_all_same,
     assert_same,
     clip_results,
@@ -38,7 +39,10 @@ from tests.helpers.made_tracks import (
     write_all,
 )
 
-CLIP = [made_tracks(k, k, np.arange(3 + k), np.random.default_rng(k), lost=k, ended=1) for k in range(3)]
+CLIP = [
+    made_tracks(k, k, np.arange(3 + k), np.random.default_rng(k), lost=k, ended=1, camera=PAIR, right=True)
+    for k in range(3)
+]
 
 
 def by_json(stream: list[LineTracks], folder: Path) -> list[LineTracks]:
@@ -103,6 +107,25 @@ def test_every_float32_survives_json(value: float) -> None:
     assert_same(decode_tracks(encode_tracks(tracks)), tracks)
 
 
+@pytest.mark.parametrize("there_and_back", FORMATS)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(streams())
+def test_what_is_derived_is_what_it_was(there_and_back: Callable, tmp_path: Path, stream: list[LineTracks]) -> None:
+    """Also the columns of the file itself, made for many frames at once: null where the object has None."""
+    for found, sent in zip(there_and_back(stream, tmp_path), stream, strict=True):
+        for field in DERIVED:
+            np.testing.assert_array_equal(getattr(found, field.name), getattr(sent, field.name), field.name)
+    if there_and_back is by_parquet:
+        table, sent = pq.read_table(tmp_path / "t.parquet"), [tracks for tracks in stream if len(tracks)]
+        for field in (one for one in (*FIELDS, *DERIVED) if one.rows == "right"):
+            values = [getattr(tracks, field.name) for tracks in sent]
+            absent = [value is None or not len(value) for value in values]
+            for k, (name, _) in enumerate(field.numbers):
+                numbers = [value.reshape(len(value), -1)[:, k] for value in values if value is not None and len(value)]
+                assert table[name].is_null().to_pylist() == np.repeat(absent, [len(t) for t in sent]).tolist(), name
+                np.testing.assert_array_equal(table[name].drop_null().to_numpy(), np.concatenate([*numbers, []]), name)
+
+
 @pytest.mark.parametrize("there_and_back", [by_mcap, by_parquet, by_journal])
 def test_history_is_read_back(there_and_back: Callable, tmp_path: Path) -> None:
     stream = [result.tracks for result in clip_results()]
@@ -113,7 +136,7 @@ def test_history_is_read_back(there_and_back: Callable, tmp_path: Path) -> None:
 
 def test_files_from_before_a_field_have_what_stands_for_it(tmp_path: Path) -> None:
     later = [field for field in FIELDS if field.older is not None]
-    assert {field.rows for field in later} == {"seen", "lost", "points"}
+    assert {field.rows for field in later} == {"seen", "right", "lost", "points"}
     gone = {*(field.name for field in later), *(field.name for field in DERIVED)}
     stream = [tracks for tracks in CLIP if len(tracks)]
     texts = [json.loads(encode_tracks(tracks)) for tracks in stream]
@@ -134,9 +157,10 @@ def test_files_from_before_a_field_have_what_stands_for_it(tmp_path: Path) -> No
         [decode(msgspec.msgpack.encode(message)).tracks for message in messages],
         list(read_tracks(path)),
     ]
+    none = ("points", "right")
     expected = [
         replace(
-            t, **{f.name: np.full_like(getattr(t, f.name), f.older)[: 0 if f.rows == "points" else None] for f in later}
+            t, **{f.name: np.full_like(getattr(t, f.name), f.older)[: 0 if f.rows in none else None] for f in later}
         )
         for t in stream
     ]
@@ -155,7 +179,7 @@ def test_every_format_holds_every_field(field, tmp_path: Path) -> None:
     assert columns <= set(pq.read_schema(write(CLIP, tmp_path / "t.parquet")).names)
     with write(CLIP, tmp_path / "t.csv").open() as file:
         header = set(next(csv.reader(file)))
-    assert columns <= header or field.name == "descriptors" or field.rows != "seen"
+    assert columns <= header or field.name == "descriptors" or field.rows not in ("seen", "right")
 
 
 ONE_LINE = '    parallax: Annotated[Float32, Field("how far the line moves against its neighbours", "px", older=1)]\n'
@@ -182,7 +206,7 @@ def test_a_new_field_is_one_line(tmp_path: Path) -> None:
         write(CLIP, tmp_path / name)
     shutil.copytree(ROOT / "frontend", tmp_path / "frontend", ignore=shutil.ignore_patterns("__pycache__"))
     table = tmp_path / "frontend" / "tracks.py"
-    table.write_text(table.read_text().replace("    lost_ids: Annotated", ONE_LINE + "    lost_ids: Annotated", 1))
+    table.write_text(table.read_text().replace("    right_px: Annotated", ONE_LINE + "    right_px: Annotated", 1))
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]\n{WITH_A_NEW_FIELD}"
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")

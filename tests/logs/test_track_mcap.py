@@ -18,10 +18,10 @@ from airline.errors import InputError
 from frontend.colours import track_colours
 from frontend.tracks import DERIVED, FIELDS
 from logs.read import read_tracks
-from logs.sinks.foxglove import McapTrackSink, message_for
+from logs.sinks.foxglove import RIGHT_TOPICS, McapTrackSink, message_for
 from logs.sinks.output import McapOutput
 from logs.tracks.json import SCHEMA, encode_tracks
-from tests.helpers.made_tracks import CAMERA, FISHEYE, clip_results, made_tracks, result_of, write_all
+from tests.helpers.made_tracks import CAMERA, FISHEYE, PAIR, clip_results, made_tracks, result_of, write_all
 
 NO_ARRAYS = ("timestamp", "frame_index", "descriptor_length", "camera", "reset")
 MADE = made_tracks(0, 0, np.arange(3), np.random.default_rng(0))
@@ -38,6 +38,10 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def messages(path):
+    return decoded(path)
+
+
+def decoded(path):
     """Messages by topic, as mcap's own strict reader and Foxglove's protobuf classes see them."""
     found = defaultdict(list)
     with path.open("rb") as file:
@@ -164,8 +168,41 @@ def test_messages_have_every_number_of_every_field(messages):
     for (_, _, message), result in zip(messages["/lines/tracks"], clip_results(), strict=True):
         for field in (*FIELDS, *DERIVED):
             expected = getattr(result.tracks, field.name)
+            if expected is None:
+                assert (message[field.name], field.rows) == (None, "right")
+                continue
             found = np.array(message[field.name], field.dtype).reshape(expected.shape)
             np.testing.assert_array_equal(found, expected, field.name)
+
+
+def test_a_right_image_has_topics_of_its_own(tmp_path):
+    """The partners, the rectified camera that sees them there, and the lines in metres, which it projects onto them."""
+    rng, image = np.random.default_rng(0), np.full((240, 320), 77, np.uint8)
+    mono = made_tracks(0, 0, np.arange(3), rng, camera=PAIR)
+    tracks = made_tracks(1, 2 * 10**9, np.arange(60), rng, camera=PAIR, right=True)
+    with closing(McapTrackSink(tmp_path / "t.mcap", with_images=True)) as sink:
+        sink.write(result_of(mono))
+        result = result_of(tracks)
+        sink.write(replace(result, frame=replace(result.frame, right=image)))
+    found = decoded(tmp_path / "t.mcap")
+    assert {len(found[topic]) for topic in RIGHT_TOPICS} == {1}
+    assert len(found["/camera/image"]) == 2
+    ((_, _, lines),) = found["/lines/right/annotations"]
+    partners = np.array([(p.x, p.y) for p in lines.points[0].points]).reshape(-1, 2, 2) - 0.5
+    np.testing.assert_allclose(partners, tracks.right_px[tracks.right_hits > 0], atol=1e-4)
+    ((_, _, picture),) = found["/camera/right/image"]
+    assert (cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_GRAYSCALE) == 77).all()
+    ((_, _, camera),) = found["/camera/right/calibration"]
+    ((_, _, update),) = found["/lines/depth"]
+    (entity,) = update.entities
+    assert entity.frame_id == found["/camera/image"][0][2].frame_id
+    points = np.array([(p.x, p.y, p.z, 1) for p in entity.lines[0].points])
+    assert len(points) == 2 * tracks.depth_known.sum() > 10
+    projected = points @ np.reshape(camera.P, (3, 4)).T
+    assert (tracks.right_hits[tracks.depth_known] > 0).all()
+    np.testing.assert_allclose(
+        projected[:, :2] / projected[:, 2:], tracks.right_px[tracks.depth_known].reshape(-1, 2), atol=1e-3
+    )
 
 
 def test_players_know_the_types_of_the_schema():

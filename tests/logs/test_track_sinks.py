@@ -6,18 +6,19 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from airline.errors import ConfigError, InputError
-from frontend.tracks import LineTracks
+from frontend.tracks import FIELDS, LineTracks
 from logs.read import read_tracks
 from logs.repair import main
 from logs.sinks.open import check, guess_of, kind_and_path, open_track_sink
 from logs.sinks.tables import ParquetTrackSink, finish_journal
-from tests.helpers.made_tracks import assert_all_same, clip_results, made_tracks, result_of
+from tests.helpers.made_tracks import PAIR, assert_all_same, clip_results, made_tracks, result_of, write_all
 
 ROOT = Path(__file__).parents[2]
 ALL = ("all.mcap", "all.parquet", "all.csv", "limap/", "plvins.mcap", "all.bag")
@@ -258,3 +259,19 @@ def test_bad_quality():
     with pytest.raises(ConfigError, match="1 to 100"):
         McapTrackSink("never.mcap", jpeg_quality=0)
     assert not Path("never.mcap").exists()
+
+
+@pytest.mark.parametrize("name", ["limap", "plvins.bag", "uvslam.mcap"])
+def test_formats_for_one_camera_take_the_left_lines_and_say_so(name, tmp_path, caplog):
+    rng = np.random.default_rng(0)
+    stereo = [made_tracks(k, k * 10**8, np.arange(6), rng, camera=PAIR, right=True, points=0) for k in range(3)]
+    none = {field.name: getattr(stereo[0], field.name)[:0] for field in FIELDS if field.rows == "right"}
+    written = []
+    for folder, stream in (("one", [replace(tracks, **none) for tracks in stereo]), ("two", stereo)):
+        (tmp_path / folder).mkdir()
+        write_all(open_track_sink(f"{tmp_path}/{folder}/{name}", points="uvslam" in name), stream)
+        files = sorted(path for path in (tmp_path / folder).rglob("*") if path.is_file())
+        written.append({path.relative_to(tmp_path / folder): path.read_bytes() for path in files})
+    assert written[0] == written[1]
+    said = [message for message in caplog.messages if "partners" in message]
+    assert [message.partition(" takes ")[2] for message in said] == ["the left lines, 12 partners are left out"]

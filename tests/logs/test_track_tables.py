@@ -17,7 +17,7 @@ from frontend.tracks import DERIVED
 from logs.read import read_tracks
 from logs.sinks.open import check
 from logs.sinks.tables import CsvTrackSink, ParquetTrackSink
-from logs.tracks.table import FRAME_COLUMNS, SCHEMA, TableNotes
+from logs.tracks.table import FRAME_COLUMNS, RIGHT_COLUMNS, SCHEMA, TableNotes
 from tests.helpers.made_tracks import CAMERA, FISHEYE, assert_all_same, clip_results, made_tracks, write_all
 
 
@@ -101,7 +101,7 @@ def test_csv_holds_the_same_numbers(tmp_path, path, clip):
         rows = list(csv.DictReader(file))
     table = pq.read_table(path)
     descriptors = {f"d{k}" for k in range(6)}
-    assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS}) | descriptors
+    assert rows[0].keys() == (set(SCHEMA.names) - {"descriptor", *FRAME_COLUMNS, *RIGHT_COLUMNS}) | descriptors
     typed = pa.csv.read_csv(tmp_path / "t.csv")
     for name in {"measured", "stable"}:  # true and false, which pandas takes for a mask
         assert typed[name].equals(table[name])
@@ -149,6 +149,33 @@ def test_csv_without_rows_has_a_header(tmp_path):
     assert (tmp_path / "t.csv").read_text().count("\n") == 1
 
 
+def test_partners_that_csv_has_no_columns_for_are_counted(tmp_path, caplog):
+    rng = np.random.default_rng(0)
+    stream = [made_tracks(k, k, np.arange(n), rng, right=k > 1) for k, n in enumerate([0, 3, 9])]
+    write(tmp_path / "a.csv", stream)
+    assert "the partners of 6 lines are left out" in caplog.text
+    assert "right_x0" not in (tmp_path / "a.csv").read_text()
+    write(tmp_path / "b.csv", [stream[0], stream[2], stream[1]])
+    with (tmp_path / "b.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["right_hits"] == "0" for row in rows] == [*[False, True, False] * 3, *[True] * 3]
+    assert [row["right_x0"] == "NaN" for row in rows] == [*[False, True, False] * 3, *[True] * 3]
+
+
+def test_only_some_tracks_of_a_frame_cannot_have_a_right_image(tmp_path):
+    stream = [made_tracks(0, 0, np.arange(3), np.random.default_rng(0), right=True)]
+    write(tmp_path / "a.parquet", stream)
+
+    def cut(table, notes):
+        for name in RIGHT_COLUMNS:
+            table, _ = column(name, lambda values: [None, *values[1:]])(table, notes)
+        return table, notes
+
+    altered(tmp_path / "a.parquet", tmp_path / "b.parquet", cut)
+    with pytest.raises(InputError, match="disagree"):
+        list(read_tracks(tmp_path / "b.parquet"))
+
+
 def test_csv_with_another_descriptor(tmp_path):
     rng = np.random.default_rng(0)
     stream = [made_tracks(k, k, np.arange(3), rng, length=6 - k) for k in range(2)]
@@ -191,6 +218,8 @@ def column(name, values):
         (column("state", lambda values: ["lost", *values[1:]]), "unknown state"),
         (column("state", lambda values: [None, *values[1:]]), "unknown state"),
         (column("x0", lambda values: [None, *values[1:]]), "numbers are missing"),
+        (column("right_x0", lambda values: [1.0, *values[1:]]), "numbers are missing"),
+        (column("right_hits", lambda values: [3, *values[1:]]), "numbers are missing"),
         (column("frame", lambda values: [*values[:-1], 0]), "disagree"),
         (column("descriptor", lambda values: [*values[:-1], [1.0]]), "disagree"),
     ],

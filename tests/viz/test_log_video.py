@@ -27,7 +27,7 @@ def test_packets_are_logged_as_they_are_at_their_frames(tmp_path, codec):
     assert [bytes(row[0]) for row in image["VideoStream:sample"] if row] == [data for _, data in packets]
     assert image["frame"] == list(range(FRAMES))
     assert image["sensor_time"] == [stamp(k) for k in range(FRAMES)]
-    shown = [number_in(frame.image) for frame in Recording(tmp_path / "run.rrd").frames()]
+    shown = [number_in(frame.images[0]) for frame in Recording(tmp_path / "run.rrd").frames()]
     assert shown == list(range(FRAMES))
 
 
@@ -45,7 +45,7 @@ def test_frames_that_are_left_out_leave_their_packets(tmp_path, flags, frames, f
     assert image["frame"] == list(range(first, max(frames) + 1))
     recording = Recording(tmp_path / "run.rrd")
     assert recording.indices == list(frames)
-    assert [number_in(frame.image) for frame in recording.frames()] == list(frames)
+    assert [number_in(frame.images[0]) for frame in recording.frames()] == list(frames)
 
 
 def test_parameter_sets_of_their_own_go_with_the_picture_behind_them(tmp_path):

@@ -107,7 +107,7 @@ def test_images_in_every_form(tmp_path, mode, shape):
     write_film(tmp_path / "film.mp4", [np.full((HEIGHT, WIDTH, 3), image.max()) for image in images], 30)
     results = [replace(r, frame=replace(r.frame, image=i)) for r, i in zip(frame_results(FRAMES), images, strict=True)]
     record(tmp_path / "run.rrd", results, image=mode, video=tmp_path / "film.mp4")
-    shown = [frame.image for frame in Recording(tmp_path / "run.rrd").frames()]
+    shown = [frame.images[0] for frame in Recording(tmp_path / "run.rrd").frames()]
     assert len(shown) == FRAMES
     for image, expected in zip(shown, images, strict=True):
         assert np.abs(image.astype(int) - expected.max()).max() < 6
