@@ -4,6 +4,6 @@ Demonstrations, tests and training draw from it. Rendering is compiled on first 
 """
 
 from airline.scenes.camera import CameraEffects
-from airline.scenes.clip import RenderedClip, RenderedView, render_clip
+from airline.scenes.clip import RenderedClip, RenderedView, render_clip, render_pairs
 
-__all__ = ["CameraEffects", "RenderedClip", "RenderedView", "render_clip"]
+__all__ = ["CameraEffects", "RenderedClip", "RenderedView", "render_clip", "render_pairs"]

@@ -135,12 +135,12 @@ def exposure_at(effects: CameraEffects, seed: int, seconds: float) -> float:
 
 
 def develop(
-    linear: NDArray[np.float32], exposure: float, effects: CameraEffects, seed: int, frame: int
+    linear: NDArray[np.float32], exposure: float, effects: CameraEffects, seed: int, frame: int, *, right: bool = False
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 BGR picture of a linear image under an exposure; `seed` and `frame` choose the noise."""
+    """(H, W, 3) uint8 BGR picture of a linear image under an exposure; `seed`, `frame`, `right` choose the noise."""
     if effects.lens_blur > 0:
         linear = np.asarray(cv2.GaussianBlur(linear, (0, 0), effects.lens_blur), np.float32)
-    key = np.uint64(np.random.SeedSequence([seed, frame, 13]).generate_state(1, np.uint64)[0])
+    key = np.uint64(np.random.SeedSequence([seed, frame, 13 + right]).generate_state(1, np.uint64)[0])
     image = np.empty(linear.shape, np.uint8)
     _develop(linear, exposure, effects.vignetting, _curve(effects.gamma), effects.noise_sigma, key, image)
     return image

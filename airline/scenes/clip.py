@@ -61,6 +61,7 @@ class RenderedClip:
         effects: the camera's imperfections; None for the clean image. The ground truth does not depend on it.
         min_contrast: lines whose sides differ by less in the clean image are not ground truth, grey levels.
         merge_doubles: of lines closer than 1.5 px only the longest is ground truth; else all are.
+        baseline_m: how far a second camera lies to the right of the first one; both are alike and rigidly joined.
     """
 
     kind: str = "indoor"
@@ -71,6 +72,7 @@ class RenderedClip:
     effects: CameraEffects | None = field(default_factory=CameraEffects)
     min_contrast: float = 12.0
     merge_doubles: bool = True
+    baseline_m: float = 0.12
 
     def __post_init__(self) -> None:
         if self.kind not in _LAYOUTS:
@@ -83,6 +85,8 @@ class RenderedClip:
             raise ConfigError(f"images must be at least 32 px wide and high, not {self.size[0]}x{self.size[1]}")
         if self.seed < 0:
             raise ConfigError(f"the seed must not be negative, but is {self.seed}")
+        if not 0 < self.baseline_m < np.inf:
+            raise ConfigError(f"the second camera must lie to the right of the first one, not {self.baseline_m} m")
 
     def __len__(self) -> int:
         return self.frames
@@ -97,23 +101,29 @@ class RenderedClip:
         focal = width * np.random.default_rng([self.seed, 3]).uniform(0.65, 0.9)
         return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
 
-    def pose(self, i: float) -> Array:
+    def pose(self, i: float, *, right: bool = False) -> Array:
         """(4, 4) float64 world_from_camera of frame `i`; fractions are times between frames."""
-        return pose_at(build_scene(self.kind, self.seed).walk, MOTIONS[self.motion], self.seed, i / FRAMES_PER_SECOND)
+        walk = build_scene(self.kind, self.seed).walk
+        pose = pose_at(walk, MOTIONS[self.motion], self.seed, i / FRAMES_PER_SECOND)
+        pose[:3, 3] += right * self.baseline_m * pose[:3, 0]
+        return pose
 
-    def render(self, i: int) -> RenderedView:
-        """Frame `i` in [0, frames); IndexError outside."""
+    def render(self, i: int, *, right: bool = False) -> RenderedView:
+        """Frame `i` in [0, frames), of the first or the second camera; IndexError outside.
+
+        Both have the same exposure and ids of lines, and each its own noise.
+        """
         if not 0 <= i < self.frames:
             raise IndexError(f"frame {i} of a sequence of {self.frames}")
         stamp = round(i * 1_000_000_000 / FRAMES_PER_SECOND)
-        K, pose = self.K, self.pose(i)
+        K, pose = self.K, self.pose(i, right=right)
         scene = build_scene(self.kind, self.seed)
         linear, clean = render_scene(scene, pose, K, self.size, self.min_contrast, self.merge_doubles)
         if self.effects is None:
             return replace(clean, stamp_ns=stamp)
         blurred = blur_rotation(linear, K, self._turns(self.effects, i))
         exposure = exposure_at(self.effects, self.seed, i / FRAMES_PER_SECOND)
-        return replace(clean, image=develop(blurred, exposure, self.effects, self.seed, i), stamp_ns=stamp)
+        return replace(clean, image=develop(blurred, exposure, self.effects, self.seed, i, right=right), stamp_ns=stamp)
 
     def _turns(self, effects: CameraEffects, i: int) -> list[Array]:
         """Rotations of the camera while the shutter is open around frame i: about one for every 1.5 px of motion."""
@@ -164,3 +174,10 @@ def render_scene(
 def render_clip(sequence: RenderedClip, workers: int = 2) -> Iterator[RenderedView]:
     """All frames in order, rendered ahead in `workers` threads: the same bits as iterating, sooner."""
     return map_ahead(sequence.render, range(len(sequence)), workers)
+
+
+def render_pairs(sequence: RenderedClip, workers: int = 2) -> Iterator[tuple[RenderedView, RenderedView]]:
+    """As `render_clip`, of both cameras."""
+    eyes = [(i, right) for i in range(len(sequence)) for right in (False, True)]
+    views = map_ahead(lambda eye: sequence.render(eye[0], right=eye[1]), eyes, workers)
+    return zip(views, views, strict=True)

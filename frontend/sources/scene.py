@@ -36,29 +36,38 @@ class BuiltInClip(CalibratedFrames):
 
 
 class SceneSource(Source):
-    """Frames of a rendered clip, rendered while it runs."""
+    """Frames of a rendered clip, rendered while it runs.
+
+    Args:
+        clip: it.
+        stereo: with the right camera's images.
+    """
 
     name: str
     kind = "rendered clip"
     frame_count: int
 
-    def __init__(self, clip: RenderedClip) -> None:
-        self._clip = clip
+    def __init__(self, clip: RenderedClip, *, stereo: bool = False) -> None:
+        self._clip, self._stereo = clip, stereo
         self.name = f"{self._clip.kind}-{self._clip.motion}"
         self.frame_count = len(self._clip)
 
     def __iter__(self) -> Iterator[Frame]:
-        from airline.scenes import render_clip
+        from airline.scenes import render_clip, render_pairs
 
-        for index, view in enumerate(render_clip(self._clip, workers=2)):
-            yield frame_of(index, view)
+        if self._stereo:
+            yield from (frame_of(index, *pair) for index, pair in enumerate(render_pairs(self._clip)))
+        else:
+            yield from (frame_of(index, view) for index, view in enumerate(render_clip(self._clip)))
 
 
-def frame_of(index: int, view: RenderedView) -> Frame:
-    """A rendered view as a frame with its camera."""
+def frame_of(index: int, view: RenderedView, right: RenderedView | None = None) -> Frame:
+    """A rendered view, or a pair of them, as a frame with its camera."""
     height, width = view.depth.shape
     fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
-    return Frame(index, view.stamp_ns, view.image, CameraModel(width, height, fx, fy, cx, cy))
+    baseline = 0.0 if right is None else round(float((right.pose[:3, 3] - view.pose[:3, 3]) @ view.pose[:3, 0]), 9)
+    camera = CameraModel(width, height, fx, fy, cx, cy, baseline_m=baseline)
+    return Frame(index, view.stamp_ns, view.image, camera, right=None if right is None else right.image)
 
 
 def built_in_clip() -> RenderedClip:

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from airline.errors import ConfigError
-from airline.scenes import CameraEffects, RenderedClip, RenderedView, render_clip
+from airline.scenes import CameraEffects, RenderedClip, RenderedView, render_clip, render_pairs
 from airline.scenes.builder import Light, Material, Place, Scene, SceneBuilder, Walk, merge_collinear
 from airline.scenes.camera import develop, rotation
 from airline.scenes.clip import build_scene, render_scene
@@ -48,6 +48,7 @@ def test_frames_depend_on_nothing_but_the_fields_and_the_index(kind):
         (RenderedClip, {"size": (31, 480)}, "31x480"),
         (RenderedClip, {"frames": 0}, "1 frame"),
         (RenderedClip, {"seed": -1}, "seed"),
+        (RenderedClip, {"baseline_m": -0.1}, "-0.1 m"),
         (CameraEffects, {"gamma": 0}, "gamma"),
         (CameraEffects, {"noise_sigma": -1}, "noise_sigma"),
         (CameraEffects, {"motion_blur": 1.5}, "motion_blur"),
@@ -245,3 +246,23 @@ def test_fast_motion_is_blurred_and_exposure_drifts():
     drifting = RenderedClip(motion="static", size=(64, 64), effects=dataclasses.replace(_OFF, exposure_jitter=0.5))
     levels = [drifting.render(i).image.mean() for i in range(0, 90, 10)]
     assert max(levels) > 1.1 * min(levels)
+
+
+@pytest.mark.parametrize("kind", ["indoor", "street"])
+def test_the_second_camera_sees_the_same_world_from_its_place(kind):
+    """Pixels of the left image, moved by the disparity of their depth, look the same in the right one."""
+    clip = RenderedClip(kind, "handheld", 3, 2, (320, 240), baseline_m=0.2)
+    _, (left, right) = render_pairs(clip)
+    assert _same(left, clip.render(1))
+    assert _same(right, clip.render(1, right=True))
+    x, y = np.meshgrid(np.arange(320, dtype=np.float32), np.arange(240, dtype=np.float32))
+    there = (x - clip.K[0, 0] * 0.2 / left.depth).astype(np.float32)
+    looks, depth = (cv2.remap(image, there, y, cv2.INTER_LINEAR) for image in (right.image, right.depth))
+    seen = (there >= 0) & (abs(depth - left.depth) < 0.02 * left.depth)
+    assert seen.mean() > 0.7
+    assert np.median(abs(looks.astype(float) - left.image)[seen]) < 3.5  # noise of 2.5 in both, less by interpolation
+    assert np.median(abs(left.image.astype(float) - right.image)[seen]) > 4
+    for line in np.intersect1d(left.ids, right.ids):
+        if line < len(build_scene(kind, 3).lines):  # not the outline of a pipe, which is another from elsewhere
+            points = right.segments_world[right.ids == line].reshape(-1, 2, 3)
+            assert _distance_to_line(points, left.segments_world[left.ids == line][0]).max() < 1e-6
