@@ -14,6 +14,7 @@ from itertools import islice, takewhile
 from airline.errors import AirLineError, ConfigError, InputError
 from frontend.camera.calibration import fit_camera, is_rectified
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
+from frontend.camera.rig import rig_of_projection
 from frontend.sources.reading import UndecodableError
 from logs.files import LogFile
 from logs.messages.readers import is_calibration_type, read_message
@@ -53,7 +54,7 @@ def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) ->
         InputError: the camera is uncalibrated (ROS sends zeros then), its model is not supported, a number makes no
             sense, or the images have another aspect.
     """
-    if not all(abs(number) <= LARGEST for number in (*info.d, *info.k, *info.p)):  # NaN fails, too
+    if not all(abs(number) <= LARGEST for number in (*info.d, *info.k, *info.r, *info.p)):  # NaN fails, too
         raise InputError("the calibration holds numbers that make no sense")
     fx, fy, cx, cy = _pinhole(info, rectified)
     width, height = info.width or image_size[0], info.height or image_size[1]
@@ -61,7 +62,8 @@ def camera_of(info: CameraInfo, image_size: tuple[int, int], rectified: bool) ->
         raise InputError(f"the calibration is for images of {width}x{height} px, which makes no sense")
     try:
         distortion = lens("none", ()) if rectified else lens(info.distortion_model, info.d)
-        camera = CameraModel(width, height, fx, fy, cx, cy, *distortion)
+        rig = rig_of_projection(info.p, () if rectified else info.r)
+        camera = CameraModel(width, height, fx, fy, cx, cy, *distortion, rig_from_camera=rig)
     except ConfigError as error:
         raise InputError(str(error)) from None
     return fit_camera(_as_sent(camera, info), *image_size)

@@ -17,13 +17,14 @@ from msgspec import Meta, Struct
 from airline.errors import ConfigError, InputError
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
 from frontend.camera.number_files import camera_of, intrinsics, left_3x3, number_rows
+from frontend.camera.rig import rig_of_projection, rigid, rigs_of_chain
 
 log = logging.getLogger(__name__)
 
 _MAX_BYTES = 256 * 1024
 _MAX_DEPTH = 32
 _CAMERA = re.compile(r"cam\d{1,4}")
-_NUMBERED = re.compile(r"(?:cam|image_)0?(\d)")  # folders of EuRoC and KITTI
+_NUMBERED = re.compile(r"(?:cam|image_)0?(\d)|(?:images?_)?(?:(l|left)|r|right)")  # folders of EuRoC, KITTI, pairs
 _RECTIFIED = frozenset({"rect", "rectified"})
 _OPENCV_HEADER = re.compile(r"\A%YAML:1\.\d[^\n]*\n")  # a colon for a space
 
@@ -45,6 +46,7 @@ class _Euroc(Struct):
     distortion_model: str = "none"
     distortion_coefficients: list[_Number] | None = None
     distortion_coeffs: list[_Number] | None = None
+    T_BS: list[Any] | None = None
 
 
 class _Ros(Struct):
@@ -56,6 +58,8 @@ class _Ros(Struct):
     distortion_coefficients: list[_Number]
     distortion_model: str | None = None
     fisheye_model: int = 0  # OpenCV's sample names no model
+    rectification_matrix: _Nine | None = None
+    projection_matrix: _Twelve | None = None
 
 
 class _RosRectified(Struct):
@@ -77,6 +81,7 @@ class _Simple(Struct, forbid_unknown_fields=True):
     cy: _Number
     distortion: str = "none"
     coefficients: list[_Number] = []
+    rig_from_camera: list[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -88,36 +93,52 @@ class Calibration:
         camera: width and height are 0 where the file does not tell the size of its images; `fit_camera` takes it.
         which: its name in a file with several.
         y_up: whether the file's y axis points up, with a negative fy, as in ICL-NUIM's.
+        number: its place in a file with several, from 0; None in a file of one.
     """
 
     file: Path
     camera: CameraModel
     which: str = ""
     y_up: bool = False
+    number: int | None = None
 
     def __str__(self) -> str:
         name = os.fsencode(self.file).decode(errors="replace")  # it may hold bytes that are no text
         return f"{self.which and self.which + ' of '}'{name}', fx {self.camera.fx:.1f} px"
 
 
-def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str] | None = None) -> Calibration:
-    """Read a camera from a calibration file.
+def read_calibration(
+    path: str | os.PathLike[str], images: str | os.PathLike[str] | None = None, *, left: Calibration | None = None
+) -> Calibration:
+    """Read a camera from a calibration file, with `rig_from_camera` where it says how several lie to each other.
 
     Args:
         path: the file.
         images: the images or their folder, whose name tells which of several cameras they are from: `cam1`, `image_2`.
             It is the first one where no name tells; of a camchain with a warning. Of ROS's YAML a name such as
             `image_rect` takes the projection matrix, without the lens.
+        left: of a pair, the other camera, from the same file: where no name tells, the right one comes next.
 
     Raises:
-        InputError: the file cannot be read, or a field is missing or makes no sense.
+        InputError: the file cannot be read, or a field is missing or makes no sense; or it has no second camera.
         ConfigError: the camera's model is not supported.
     """
     file = Path(path)
     text = _read(file)
     parts = Path(os.path.abspath(images)).parts if images is not None else ()  # noqa: PTH100  keeps links
-    numbers = [int(match[1]) for part in parts[-3:] if (match := _NUMBERED.fullmatch(part))]
-    number = numbers[-1] if numbers else None
+    number = next((found for part in parts[:-4:-1] if (found := _number(part)) is not None), None)
+    if left is not None and left.number is not None and number in (None, left.number):
+        number = left.number + 1
+    found = _calibration(file, text, number, images, parts)
+    if left is not None and (found.number is None or found.number == left.number):
+        raise InputError(f"'{file}' holds one camera, and a pair has two: give the right one's with --right-calib")
+    return found
+
+
+def _calibration(
+    file: Path, text: str, number: int | None, images: str | os.PathLike[str] | None, parts: tuple[str, ...]
+) -> Calibration:
+    """The camera of that number, where the file has several, of the images with these parts of their path."""
     try:
         if (rows := number_rows(text)) is not None:
             rectified = not any(part.endswith("_extract") for part in parts)  # KITTI's name for images that are not
@@ -130,7 +151,9 @@ def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str
             name = min(chain, key=lambda name: (name != f"cam{number}", int(name[3:])))
             if len(chain) > 1 and number is None:
                 log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
-            return Calibration(file, _euroc(chain[name], f"{name}."), name)
+            rig = rigs_of_chain({key: chain[key] for key in sorted(chain, key=lambda key: int(key[3:]))})[name]
+            camera = replace(_euroc(chain[name], f"{name}."), rig_from_camera=rig)
+            return Calibration(file, camera, name, number=int(name[3:]))
         if "projection_matrix" in tree and images is not None and says_rectified(images):
             return Calibration(file, _ros_rectified(tree), "projection_matrix")
         for field, camera_in in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
@@ -153,6 +176,12 @@ def is_rectified(name: str) -> bool:
 def says_rectified(images: str | os.PathLike[str]) -> bool:
     """Whether one of the last three names in the path of images says that they are rectified."""
     return is_rectified("/".join(Path(os.path.abspath(images)).parts[-3:]))  # noqa: PTH100  keeps links
+
+
+def _number(part: str) -> int | None:
+    """Which camera the name of a folder or a topic's part stands for, from 0; None where it does not tell."""
+    match = _NUMBERED.fullmatch(part)
+    return match and (int(match[1]) if match[1] else int(match[2] is None))
 
 
 def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:
@@ -188,7 +217,9 @@ def _euroc(tree: Mapping[str, Any], prefix: str = "") -> CameraModel:
     if coefficients is None and found.distortion_model != "none":
         raise InputError(f"{prefix}distortion_coefficients is missing")
     (width, height), (fx, fy, cx, cy) = found.resolution, found.intrinsics
-    return CameraModel(width, height, fx, fy, cx, cy, *lens(found.distortion_model, coefficients or []))
+    distortion = lens(found.distortion_model, coefficients or [])
+    rig = None if found.T_BS is None else rigid(found.T_BS, "T_BS")
+    return CameraModel(width, height, fx, fy, cx, cy, *distortion, rig_from_camera=rig)
 
 
 def _ros(tree: Mapping[str, Any]) -> CameraModel:
@@ -197,18 +228,23 @@ def _ros(tree: Mapping[str, Any]) -> CameraModel:
     if model is None:
         model = "equidistant" if found.fisheye_model else "plumb_bob"
     distortion = lens(model, found.distortion_coefficients)
-    return CameraModel(found.image_width, found.image_height, *intrinsics(found.camera_matrix), *distortion)
+    rig = rig_of_projection(found.projection_matrix or (), found.rectification_matrix or ())
+    pinhole = intrinsics(found.camera_matrix)
+    return CameraModel(found.image_width, found.image_height, *pinhole, *distortion, rig_from_camera=rig)
 
 
 def _ros_rectified(tree: Mapping[str, Any]) -> CameraModel:
     found = _checked(tree, _RosRectified)
-    return CameraModel(found.image_width, found.image_height, *intrinsics(left_3x3(found.projection_matrix)))
+    pinhole, rig = intrinsics(left_3x3(found.projection_matrix)), rig_of_projection(found.projection_matrix)
+    return CameraModel(found.image_width, found.image_height, *pinhole, rig_from_camera=rig)
 
 
 def _simple(tree: Mapping[str, Any]) -> CameraModel:
     found = _checked(tree, _Simple)
     distortion = lens(found.distortion, found.coefficients)
-    return CameraModel(found.width, found.height, found.fx, found.fy, found.cx, found.cy, *distortion)
+    rig = None if found.rig_from_camera is None else rigid(found.rig_from_camera, "rig_from_camera")
+    pinhole = found.fx, found.fy, found.cx, found.cy
+    return CameraModel(found.width, found.height, *pinhole, *distortion, rig_from_camera=rig)
 
 
 def _checked(tree: Mapping[str, Any], kind: type[T], prefix: str = "") -> T:

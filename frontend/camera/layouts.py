@@ -22,9 +22,10 @@ _LAYOUTS = (  # name of the folder with the images, how far up from there to go,
     (r"data", 1, ("sensor.yaml",)),  # EuRoC: cam0/data
     (r"data", 3, ("dso/camchain.yaml", "calib_cam_to_cam.txt")),  # TUM VI: mav0/cam0/data; KITTI: DRIVE/image_00/data
     (r"image_\d", 1, ("calib.txt",)),  # KITTI's odometry
+    (r"(images?_)?(l|left|r|right)", 1, _ANY),  # of a pair, in one file
     (r"cam\d", 1, ("camchain*.yaml", "*-camchain.yaml")),
     (r"colou?r", 1, ("intrinsic/intrinsic_color.txt",)),  # ScanNet
-    (r"images?|rgb|colou?r|frames|left|cam0", 1, _ANY),  # of one camera: TUM, ICL-NUIM, ETH3D
+    (r"images?|rgb|colou?r|frames|cam0", 1, _ANY),  # of one camera: TUM, ICL-NUIM, ETH3D
 )
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from airline.errors import InputError
 from frontend.camera.model import LARGEST, MAX_SIDE, CameraModel, lens
+from frontend.camera.rig import inverse, rig_of_projection, rigid
 
 Row = tuple[str, list[float]]
 
@@ -21,6 +25,7 @@ class NumberedCamera(NamedTuple):
     camera: CameraModel
     which: str = ""
     y_up: bool = False
+    number: int | None = None
 
 
 def number_rows(text: str) -> list[Row] | None:
@@ -43,7 +48,7 @@ def camera_of(rows: list[Row], number: int, *, rectified: bool) -> NumberedCamer
 
     - KITTI's odometry: rows `P0: 3x4 projection matrix` to P3, or such matrices without names.
     - KITTI's raw data: rows `S_rect_00: width height`, `P_rect_00: 3x4`, and for images that are not rectified `S_00`,
-      `K_00: 3x3`, `D_00: k1 k2 p1 p2 k3`.
+      `K_00: 3x3`, `D_00: k1 k2 p1 p2 k3`, `R_00: 3x3`, `T_00: 3`.
     - ICL-NUIM's and ScanNet's intrinsic matrices, 3x3 and 4x4.
     - TUM RGB-D's numbers `fx fy cx cy [k1 k2 p1 p2 [k3]]`.
     - DSO: `[model] fx fy cx cy coefficients`, then `width height`; relative to these where cx and cy are below 1.
@@ -61,11 +66,12 @@ def camera_of(rows: list[Row], number: int, *, rectified: bool) -> NumberedCamer
         raise InputError(f"it has numbers that are not finite, or beyond {LARGEST:g}")
     (name, first), counts = rows[0], [len(numbers) for _, numbers in rows]
     if _is_kitti_raw(rows):
-        return _kitti_raw(dict(rows), f"{number:02}", rectified)
+        return _kitti_raw(dict(rows), number, rectified)
     if len(first) == 12:
-        which = f"P{number}" if name else "row 1"
-        values = _numbers(dict(rows), which, 12) if name else first
-        return NumberedCamera(_camera(intrinsics(left_3x3(values))), which)
+        number = number if name or number < len(rows) else 0
+        which = f"P{number}" if name else f"row {number + 1}"
+        values = _numbers(dict(rows) if name else {which: rows[number][1]}, which, 12)
+        return _projected(values, (0, 0), which, number)
     if counts in ([3] * 3, [4] * 4):
         matrix = [value for _, numbers in rows[:3] for value in numbers[:3]]
         y_up = matrix[4] < 0
@@ -102,12 +108,23 @@ def left_3x3(projection: Sequence[float]) -> list[float]:
     return [value for k, value in enumerate(projection) if k % 4 < 3]
 
 
-def _kitti_raw(rows: dict[str, list[float]], number: str, rectified: bool) -> NumberedCamera:
+def _projected(projection: Sequence[float], size: tuple[int, int], which: str, number: int) -> NumberedCamera:
+    camera = _camera(intrinsics(left_3x3(projection)), size=size)
+    return NumberedCamera(replace(camera, rig_from_camera=rig_of_projection(projection)), which, number=number)
+
+
+def _kitti_raw(rows: dict[str, list[float]], number: int, rectified: bool) -> NumberedCamera:
+    key = f"{number:02}"
     if rectified:
-        size, p = _size(_numbers(rows, f"S_rect_{number}", 2)), _numbers(rows, which := f"P_rect_{number}", 12)
-        return NumberedCamera(_camera(intrinsics(left_3x3(p)), size=size), which)
-    size, k = _size(_numbers(rows, f"S_{number}", 2)), _numbers(rows, which := f"K_{number}", 9)
-    return NumberedCamera(_camera(intrinsics(k), "radtan", _numbers(rows, f"D_{number}", 5), size), which)
+        size, p = _size(_numbers(rows, f"S_rect_{key}", 2)), _numbers(rows, which := f"P_rect_{key}", 12)
+        return _projected(p, size, which, number)
+    size, k = _size(_numbers(rows, f"S_{key}", 2)), _numbers(rows, which := f"K_{key}", 9)
+    camera = _camera(intrinsics(k), "radtan", _numbers(rows, f"D_{key}", 5), size)
+    if f"R_{key}" in rows and f"T_{key}" in rows:  # from the first camera's frame
+        turn, move = _numbers(rows, f"R_{key}", 9), _numbers(rows, f"T_{key}", 3)
+        motion = rigid(np.column_stack([np.reshape(turn, (3, 3)), move]), f"R_{key} with T_{key}")
+        camera = replace(camera, rig_from_camera=inverse(motion))
+    return NumberedCamera(camera, which, number=number)
 
 
 def _dso(name: str, numbers: list[float], size: tuple[int, int]) -> CameraModel:
