@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from frontend.matching import LineMatches, match_lines
     from frontend.pipeline import LineFrontend
     from frontend.protocols import FrameResult, Sink, Source
-    from frontend.sources import open_source
+    from frontend.sources import open_source, open_stereo
     from frontend.tracker import LineTracker
     from frontend.tracking.config import TrackerConfig
     from frontend.tracks import LineTracks, TrackState
@@ -27,6 +27,7 @@ __all__ += [
     "TrackerConfig",
     "match_lines",
     "open_source",
+    "open_stereo",
 ]
 
 _MODULES = {
@@ -36,7 +37,7 @@ _MODULES = {
     "matching": ("LineMatches", "match_lines"),
     "pipeline": ("LineFrontend",),
     "protocols": ("FrameResult", "Sink", "Source"),
-    "sources": ("open_source",),
+    "sources": ("open_source", "open_stereo"),
     "tracker": ("LineTracker",),
     "tracking.config": ("TrackerConfig",),
     "tracks": ("LineTracks", "TrackState"),

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace, config: RunConfig) -> int:
 
     video = wiring.video_to_log(options.input, config)
     track_files = wiring.track_files(options.out, overwrite=options.overwrite, points=config.tracker.points)
-    check_outputs(options, chain(*track_files))
+    check_outputs(options, chain(*track_files), config.input.right)
 
     with ExitStack() as stack:
         server = stack.enter_context(wiring.web_viewer()) if options.serve else None
@@ -169,7 +169,7 @@ def _written(save: Path | None, track_files: Iterable[list[Path]]) -> list[str]:
     return [f"{path}{' (in place of the one that is there)' * old}" for path, old in zip(paths, there, strict=True)]
 
 
-def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> None:
+def check_outputs(options: argparse.Namespace, track_files: Iterable[Path], right: str | None) -> None:
     """Refuse, before any work, what cannot be written, and to write over the input or twice into one file."""
     for flag, path, suffix in (("--save", options.save, ".rrd"), ("--summary", options.summary, ".json")):
         # the suffix keeps a slip of the hand from replacing the input
@@ -177,7 +177,7 @@ def check_outputs(options: argparse.Namespace, track_files: Iterable[Path]) -> N
             path.suffix.lower() != suffix or os.path.isdir(path) or not os.path.isdir(path.parent)  # noqa: PTH112
         ):
             raise InputError(f"cannot write {flag} {path}: give a name that ends with {suffix} in a folder that exists")
-    taken = {} if options.input is None else {os.path.realpath(options.input): "the input"}
+    taken = {os.path.realpath(path): "the input" for path in (options.input, right) if path is not None}
     for path in (options.save, options.summary, *track_files):
         place = path and os.path.realpath(path)
         if place in taken:

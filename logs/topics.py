@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from airline.errors import ConfigError, InputError
+from frontend.sources.pairs import partner_of
 from frontend.sources.reading import UndecodableError
 from logs.files import LogFile, Topic, TopicType
 from logs.images.decoder import ImageDecoder
@@ -73,6 +74,23 @@ def choose_seen(file: LogFile, wanted: str | None) -> tuple[str, bool]:
         )
     seen = {name: topic for name, topic in file.topics.items() if name not in depth}
     return choose_topic(seen, wanted), bool(depth)
+
+
+def stereo_topics(file: LogFile, left: str | None) -> tuple[str, str]:
+    """The left and the right camera's topics by their names, `left` where it is known; InputError where none tell."""
+    seen = [
+        name
+        for name, topic in file.topics.items()
+        if reader_for(topic.type.schema_name, topic.type.encoding)
+        and is_image_type(topic.type.schema_name)
+        and not _is_depth(file, name)
+    ]
+    pairs = [(one, two) for one in seen if left in (None, one) and (two := partner_of(one)) in seen and two]
+    if len(pairs) == 1:
+        return pairs[0]
+    found = ", ".join(f"{one} and {two}" for one, two in sorted(pairs)) if pairs else ", ".join(sorted(seen)) or "none"
+    what = "has several pairs of image topics" if pairs else "shows no pair by the names of its image topics"
+    raise InputError(printable(f"the log {what} ({found}): give --topic LEFT and --right-topic RIGHT"))
 
 
 def image_topics(file: LogFile, but: str | None) -> str:

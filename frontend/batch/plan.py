@@ -109,9 +109,12 @@ def job_settings(config: RunConfig, write: Sequence[str]) -> JobSettings:
         table[key] = str(Path(table[key]).absolute())
         files[table[key]] = fingerprint(Path(table[key]))
 
-    if config.input.calib_file is not None:
-        read_calibration(config.input.calib_file)
-        own(chosen, "calib")
+    if config.input.right is not None:
+        raise ConfigError("--right is of one recording: give --stereo, which takes what lies beside each")
+    for key, file in (("calib", config.input.calib_file), ("right_calib", config.input.right_calib)):
+        if file is not None:
+            read_calibration(file)
+            own(chosen, key)
     if edges["detector"] == "unet":
         load_weights(edges["weights"])
         if edges["weights"] not in BUNDLED:
@@ -148,9 +151,9 @@ def make_plan(
     for path in paths:
         name, summary = results.get(str(path)) or (names[path], {})
         made_from = {"input": {"path": str(path), **fingerprint(path)}, **settings.made_with}
-        beside = _calibration_of(path, settings.config.input)
-        if beside is not None:  # it may lie above the folder
-            made_from["files"] = {**made_from["files"], str(beside): fingerprint(beside)}
+        beside = {str(file): fingerprint(file) for file in _beside(path, settings.config.input)}
+        if beside:
+            made_from["files"] = {**made_from["files"], **beside}
         job = Job(name, str(path), out / name, made_from)
         if summary.get("made_from") == job.made_from and not overwrite:
             rows[name] = row_of(job, "skipped", summary)
@@ -163,15 +166,18 @@ def make_plan(
     return rows, jobs
 
 
-def _calibration_of(path: Path, settings: InputConfig) -> Path | None:
-    """The calibration file that `FolderSource` takes by itself."""
+def _beside(path: Path, settings: InputConfig) -> list[Path]:
+    """What a run takes by itself that need not be in the recording: the right camera, and calibration files."""
     from frontend.camera.layouts import calibration_beside
     from frontend.sources.listing import folder_of, list_images
+    from frontend.sources.pairs import find_pair
 
-    if settings.calib is not None:
-        return None
-    try:
-        place = folder_of(list_images(path, settings.fps).rows)
-        return place and calibration_beside(place)
-    except (AirLineError, OSError):  # not images, or none that can be read: opening it will tell
-        return None
+    found: list[Path] = []
+    with suppress(AirLineError, OSError):  # not images, or none that can be read: opening it will tell
+        cameras = [Path(camera) for camera in find_pair(str(path))] if settings.stereo else [path]
+        found += cameras[1:]
+        for camera in cameras if settings.calib is None else ():
+            place = folder_of(list_images(camera, settings.fps).rows)
+            if place is not None and (file := calibration_beside(place)) is not None:
+                found.append(file)
+    return found

@@ -107,47 +107,58 @@ class Calibration:
         return f"{self.which and self.which + ' of '}'{name}', fx {self.camera.fx:.1f} px"
 
 
-def read_calibration(
-    path: str | os.PathLike[str], images: str | os.PathLike[str] | None = None, *, left: Calibration | None = None
-) -> Calibration:
+def read_calibration(path: str | os.PathLike[str], images: str | os.PathLike[str] | None = None) -> Calibration:
     """Read a camera from a calibration file, with `rig_from_camera` where it says how several lie to each other.
 
     Args:
         path: the file.
-        images: the images or their folder, whose name tells which of several cameras they are from: `cam1`, `image_2`.
-            It is the first one where no name tells; of a camchain with a warning. Of ROS's YAML a name such as
+        images: the images or their folder, whose name tells which of several cameras they are from: `cam1`, `image_2`,
+            `right`. It is the first one where no name tells; of a camchain with a warning. Of ROS's YAML a name such as
             `image_rect` takes the projection matrix, without the lens.
-        left: of a pair, the other camera, from the same file: where no name tells, the right one comes next.
 
     Raises:
-        InputError: the file cannot be read, or a field is missing or makes no sense; or it has no second camera.
+        InputError: the file cannot be read, or a field is missing or makes no sense.
         ConfigError: the camera's model is not supported.
     """
-    file = Path(path)
+    return _calibration(Path(path), images, _number(images))
+
+
+def read_pair(
+    path: str | os.PathLike[str],
+    images: tuple[str | os.PathLike[str], str | os.PathLike[str]],
+    right_path: str | os.PathLike[str] | None = None,
+) -> tuple[Calibration, Calibration]:
+    """Read the left and the right camera of a pair, from one file or from two; see `read_calibration`.
+
+    Where no name tells which camera of one file is which, the left one is the first, and the right one comes next.
+
+    Raises:
+        InputError, ConfigError: as of `read_calibration`; or one file holds one camera.
+    """
+    left = _calibration(Path(path), images[0], _number(images[0]) or 0)
+    if right_path not in (None, path):
+        return left, read_calibration(right_path or path, images[1])
+    number = _number(images[1])
+    right = _calibration(Path(path), images[1], (left.number or 0) + 1 if number in (None, left.number) else number)
+    if right.number in (None, left.number):
+        raise InputError(f"'{path}' holds one camera, and a pair has two: give the right one's with --right-calib")
+    return left, right
+
+
+def _calibration(file: Path, images: str | os.PathLike[str] | None, number: int | None) -> Calibration:
+    """The camera of that number where there are several, of these images."""
     text = _read(file)
-    parts = Path(os.path.abspath(images)).parts if images is not None else ()  # noqa: PTH100  keeps links
-    number = next((found for part in parts[:-4:-1] if (found := _number(part)) is not None), None)
-    if left is not None and left.number is not None and number in (None, left.number):
-        number = left.number + 1
-    found = _calibration(file, text, number, images, parts)
-    if left is not None and (found.number is None or found.number == left.number):
-        raise InputError(f"'{file}' holds one camera, and a pair has two: give the right one's with --right-calib")
-    return found
-
-
-def _calibration(
-    file: Path, text: str, number: int | None, images: str | os.PathLike[str] | None, parts: tuple[str, ...]
-) -> Calibration:
-    """The camera of that number, where the file has several, of the images with these parts of their path."""
     try:
         if (rows := number_rows(text)) is not None:
-            rectified = not any(part.endswith("_extract") for part in parts)  # KITTI's name for images that are not
+            rectified = not any(part.endswith("_extract") for part in _parts(images))  # KITTI's name for raw images
             return Calibration(file, *camera_of(rows, number or 0, rectified=rectified))
         content = _parsed(text)
         tree = content if isinstance(content, dict) else {}
         chain = {str(name): entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name))}
         chain = {name: entry for name, entry in chain.items() if isinstance(entry, dict)}
         if chain:
+            topics = {str(entry.get("rostopic")): int(name[3:]) for name, entry in chain.items()}
+            number = topics.get(str(images), number)
             name = min(chain, key=lambda name: (name != f"cam{number}", int(name[3:])))
             if len(chain) > 1 and number is None:
                 log.warning("'%s' holds %s: using %s", file, ", ".join(chain), name)
@@ -178,10 +189,14 @@ def says_rectified(images: str | os.PathLike[str]) -> bool:
     return is_rectified("/".join(Path(os.path.abspath(images)).parts[-3:]))  # noqa: PTH100  keeps links
 
 
-def _number(part: str) -> int | None:
-    """Which camera the name of a folder or a topic's part stands for, from 0; None where it does not tell."""
-    match = _NUMBERED.fullmatch(part)
-    return match and (int(match[1]) if match[1] else int(match[2] is None))
+def _parts(images: str | os.PathLike[str] | None) -> tuple[str, ...]:
+    return Path(os.path.abspath(images)).parts if images is not None else ()  # noqa: PTH100  keeps links
+
+
+def _number(images: str | os.PathLike[str] | None) -> int | None:
+    """Which camera the last names in a path or a topic stand for, from 0; None where they do not tell."""
+    found = [match for part in _parts(images)[-3:] if (match := _NUMBERED.fullmatch(part))]
+    return int(found[-1][1] or found[-1][2] is None) if found else None
 
 
 def fit_camera(camera: CameraModel, width: int, height: int) -> CameraModel:

@@ -17,6 +17,7 @@ _ANY = tuple(
     for stem in ("calib", "calibration", "camera", "camera_info", "intrinsics", "ost")
     for suffix in ("yaml", "yml", "json", "txt")
 ) + ("camchain*.yaml", "*-camchain.yaml", "calibration_matrix.txt", "sensor.yaml")
+_RIGHT = re.compile(r"(images?_)?(r|right)$")
 _LAYOUTS = (  # name of the folder with the images, how far up from there to go, and what to look for
     (r".*", 0, _ANY),
     (r"data", 1, ("sensor.yaml",)),  # EuRoC: cam0/data
@@ -47,6 +48,9 @@ def find_calibration(images: Path) -> Calibration | None:
     try:
         file = calibration_beside(images)
         found = None if file is None else read_calibration(file, images)
+        own = file is not None and (images / file.name).is_file()
+        if found is not None and found.number is None and not own and _RIGHT.match(images.name):
+            return None  # of one camera, which may be the left one
         if found is not None and found.camera.distortion != "none" and says_rectified(images):
             raise InputError(f"'{file}' has a lens, and by their folder's name the images are rectified")
         return found

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import InputError
+from frontend.camera.model import LARGEST
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ def rigid(numbers: Any, what: str) -> Array:
         values = np.zeros(0)
     if values.size == 12:
         values = np.append(values, (0, 0, 0, 1))
-    if values.size == 16 and np.isfinite(values).all():
+    if values.size == 16 and (np.abs(values) <= LARGEST).all():  # false for NaN
         motion = values.reshape(4, 4)
         turn = motion[:3, :3]
         error = np.abs(turn @ turn.T - np.eye(3)).max()

@@ -34,7 +34,7 @@ class Undistorter:
 
     def fits(self, source: CameraModel) -> bool:
         """Whether images of this camera can be remapped, too."""
-        return source is self._source or _values(source) == _values(self._source)
+        return source is self._source or values_of(source) == values_of(self._source)
 
     def __call__(self, image: Image) -> Image:
         """(H, W[, 3]) uint8 or uint16 image of the source's size; bilinear, positions to 1/32 px."""
@@ -128,6 +128,8 @@ def covers(camera: CameraModel, plane: Array, turn: Array | None = None) -> bool
     return bool(((x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)).all())  # false for NaN
 
 
-def _values(camera: CameraModel) -> tuple[object, ...]:
-    size = camera.width, camera.height
-    return (*size, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion, *camera.coefficients.tolist())
+def values_of(camera: CameraModel) -> tuple[object, ...]:
+    """All that a camera's maps depend on, to be compared."""
+    size, rig = (camera.width, camera.height), camera.rig_from_camera
+    lens = camera.distortion, *camera.coefficients.tolist()
+    return (*size, camera.fx, camera.fy, camera.cx, camera.cy, *lens, None if rig is None else rig.tolist())

@@ -55,6 +55,15 @@ FLAGS = {
     },
     "logs": {"--topic TOPIC": "input.topic", "--time-source": "input.time_source"},
     "camera": {"--calib FILE": "input.calib", "--undistort": "input.undistort"},
+    "two cameras": {
+        "--stereo": "input.stereo",
+        "--right RIGHT": "input.right",
+        "--right-topic TOPIC": "input.right_topic",
+        "--right-calib FILE": "input.right_calib",
+        "--side-by-side": "input.side_by_side",
+        "--rectified": "input.rectified",
+        "--max-stereo-gap S": "input.max_stereo_gap",
+    },
     "detector": {"--preset": "preset", "--runtime": "runtime"},
     "tracker": {"--max-lines N": "tracker.max_lines", "--points": "tracker.points"},
     "settings": {"--serial": "serial"},
@@ -99,7 +108,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """The flags that `settings_of` reads, for every command that runs the frontend."""
-    for title in ("recording", "frames", "logs", "camera", "detector", "tracker", "settings"):
+    for title in ("recording", "frames", "logs", "camera", "two cameras", "detector", "tracker", "settings"):
         _add_flags(parser, title)
 
 

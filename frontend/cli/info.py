@@ -44,7 +44,7 @@ def describe(source: Source) -> str:
     if (camera := first.camera) is not None:
         lens = "no distortion" if camera.distortion == "none" else camera.distortion
         rows["camera"] = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g} px, {lens}"
-    return _lines(rows, source.notes)
+    return _lines(rows | _pair(first), source.notes)
 
 
 def introduce(source: Source, first: Frame, notes: Sequence[str], results: Sequence[str], *, found: bool) -> str:
@@ -59,7 +59,8 @@ def introduce(source: Source, first: Frame, notes: Sequence[str], results: Seque
         calibration += ", so lines are in pixels alone: --calib FILE gives one"
     elif source.calibration is not None and found:
         calibration += f"; --calib {NO_CALIBRATION} leaves it out"
-    return _lines({"input": ", ".join(filter(None, known)), "calibration": calibration}, notes, results)
+    rows = {"input": ", ".join(filter(None, known)), "calibration": calibration}
+    return _lines(rows | _pair(first), notes, results)
 
 
 def properties(spec: str | None, source: Source, first: Frame, config: RunConfig, notes: Sequence[str]) -> Properties:
@@ -89,6 +90,13 @@ def properties(spec: str | None, source: Source, first: Frame, config: RunConfig
 def _lines(rows: Mapping[str, str], notes: Sequence[str], results: Sequence[str] = ()) -> str:
     pairs = [*rows.items(), *(("writing", result) for result in results)]
     return "\n".join([*(f"{name + ':':<12} {value}" for name, value in pairs), *(f"note: {note}" for note in notes)])
+
+
+def _pair(first: Frame) -> dict[str, str]:
+    if first.right is None:
+        return {}
+    baseline = 0.0 if first.camera is None else first.camera.baseline_m
+    return {"stereo": f"baseline {baseline:.4g} m" if baseline else "no baseline is known, so there are no metres"}
 
 
 def _calibration(source: Source, first: Frame) -> str:

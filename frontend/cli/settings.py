@@ -35,12 +35,42 @@ class InputConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     time_source: Annotated[Literal["header", "publish", "log"], Meta(description="where times come from")] = "header"
     calib: Annotated[str, Meta(description="calibration file, or none (default: the input's)")] | None = None
     undistort: Annotated[bool, Meta(description="remove lens distortion before detection")] = False
+    stereo: Annotated[bool, Meta(description="take the right camera, too, that lies beside the left one")] = False
+    right: Annotated[str, Meta(description="the right camera: a folder, a video, a log, ...")] | None = None
+    right_topic: Annotated[str, Meta(description="its image topic")] | None = None
+    right_calib: (
+        Annotated[str, Meta(description="its calibration file (default: --calib's, if that is of both)")] | None
+    ) = None
+    side_by_side: Annotated[bool, Meta(description="a picture holds both cameras' images, the left one first")] = False
+    rectified: Annotated[bool, Meta(description="both images have the same rows already, and no lens")] = False
+    max_stereo_gap: (
+        Annotated[float, Meta(ge=0, description="times of a pair may be S seconds apart (default: a third of a frame)")]
+        | None
+    ) = None
 
     def __post_init__(self) -> None:
         start = self.start or 0.0
         if self.end is not None and self.end <= start:
             raise ConfigError(f"end must be later than start, and {self.end:g} s is not later than {start:g} s")
         _ = self.size
+        two = self.right is not None or self.right_topic is not None
+        if self.side_by_side and (two or self.max_stereo_gap is not None):
+            raise ConfigError(
+                "with --side-by-side one picture has both images, of one time: leave --right, --right-topic and "
+                "--max-stereo-gap out"
+            )
+        if not self.pairs and (self.right_calib is not None or self.rectified or self.max_stereo_gap is not None):
+            raise ConfigError(
+                "--right-calib, --rectified and --max-stereo-gap are for pairs: give --stereo, --right RIGHT or "
+                "--side-by-side, too"
+            )
+        if self.right_calib is not None and self.calib_file is None:
+            raise ConfigError("--right-calib gives the right camera's calibration: give the left one's with --calib")
+
+    @property
+    def pairs(self) -> bool:
+        """Whether frames are pairs."""
+        return self.stereo or self.side_by_side or self.right is not None or self.right_topic is not None
 
     @property
     def calib_file(self) -> str | None:

@@ -41,6 +41,7 @@ class Summary:
         track_length_median: median number of frames in which a confirmed track was seen.
         skipped_frames: frames that could not be read.
         dropped_frames: frames of a live source that there was no time for.
+        unpaired_left, unpaired_right: frames of a stereo pair's cameras without one of the other.
         reconnects: how often a network stream was lost and came back.
         calibration: where the camera of a folder's or a file's frames is from; None for logs and where it is unknown.
         kind: what the input was taken for.
@@ -67,6 +68,8 @@ class Summary:
     first_reset: str | None
     skipped_frames: int
     dropped_frames: int
+    unpaired_left: int = 0
+    unpaired_right: int = 0
     reconnects: int = 0
     calibration: str | None = None
     kind: str = ""
@@ -83,6 +86,7 @@ class Summary:
         from rich.table import Table
 
         missing = {"skipped": self.skipped_frames, "dropped": self.dropped_frames, "reconnects": self.reconnects}
+        missing |= {"unpaired of the left": self.unpaired_left, "of the right": self.unpaired_right}
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
         groups = {
             "input": {
@@ -179,6 +183,8 @@ class SummaryCounter:
             first_reset=self._first_reset,
             skipped_frames=source.skipped,
             dropped_frames=source.dropped,
+            unpaired_left=source.unpaired[0],
+            unpaired_right=source.unpaired[1],
             reconnects=source.reconnects,
             calibration=source.calibration,
             kind=source.kind,

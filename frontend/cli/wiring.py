@@ -16,7 +16,8 @@ from frontend.cli.settings import NO_CALIBRATION
 if TYPE_CHECKING:
     import argparse
 
-    from frontend.cli.settings import RunConfig
+    from frontend.camera.calibration import Calibration
+    from frontend.cli.settings import InputConfig, RunConfig
     from frontend.matching import LineMatches
     from frontend.protocols import Sink, Source
     from frontend.sources.reading import Image
@@ -38,41 +39,22 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
         spec: a log, or whatever `frontend.open_source` takes; None for the built-in clip.
         config: the settings.
     """
-    from frontend.sources import kinds, open_source
+    from frontend.sources import kinds
     from frontend.sources.pace import FreshFrames, RealtimeSource
-    from frontend.sources.wrapped import CalibratedFrames, SelectedFrames, UncalibratedFrames
-    from logs.files import is_log
+    from frontend.sources.wrapped import SelectedFrames
 
     chosen = config.input
     spec = None if spec is None else kinds.local_name(spec)
-    calibration = None
-    if chosen.calib_file is not None:
-        from frontend.camera.calibration import read_calibration
-
-        calibration = read_calibration(chosen.calib_file, spec)
     source: Source
-    if spec is None:
-        from frontend.sources.scene import BuiltInClip
-
-        source = BuiltInClip()
-    elif is_log(spec):
-        from logs import open_images
-
-        source = open_images(spec, chosen.topic, time_source=chosen.time_source, autorotate=not chosen.no_autorotate)
-    elif chosen.topic is not None:
-        raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
+    if chosen.pairs:
+        source = _open_pairs(spec, chosen)
     else:
-        source = open_source(
-            spec,
-            fps=chosen.fps,
-            reconnect_s=chosen.reconnect,
-            calibrated=chosen.calib is None,
-            autorotate=not chosen.no_autorotate,
-        )
-    if chosen.calib == NO_CALIBRATION:
-        source = UncalibratedFrames(source)
-    if calibration is not None or chosen.undistort:
-        source = CalibratedFrames(source, calibration, undistort=chosen.undistort)
+        calibration = None
+        if chosen.calib_file is not None:
+            from frontend.camera.calibration import read_calibration
+
+            calibration = read_calibration(chosen.calib_file, spec)
+        source = _open_one(spec, chosen.topic, chosen, calibration)
     source = SelectedFrames(
         source,
         start_s=chosen.start,
@@ -86,6 +68,79 @@ def open_input(spec: str | None, config: RunConfig) -> Source:
     if not source.live or config.serial:
         return source
     return FreshFrames(source, chosen.max_latency, prepares=True)
+
+
+def _open_one(spec: str | None, topic: str | None, chosen: InputConfig, calibration: Calibration | None) -> Source:
+    """The frames of one camera."""
+    from frontend.sources import open_source
+    from frontend.sources.wrapped import CalibratedFrames, UncalibratedFrames
+    from logs.files import is_log
+
+    source: Source
+    if spec is None:
+        from frontend.sources.scene import BuiltInClip
+
+        source = BuiltInClip()
+    elif is_log(spec):
+        from logs import open_images
+
+        source = open_images(spec, topic, time_source=chosen.time_source, autorotate=not chosen.no_autorotate)
+    elif topic is not None:
+        raise ConfigError(f"a topic is for logs, and '{spec}' is not one: leave the topic out")
+    else:
+        source = open_source(
+            spec,
+            fps=chosen.fps,
+            reconnect_s=chosen.reconnect,
+            calibrated=chosen.calib is None and not chosen.side_by_side,
+            autorotate=not chosen.no_autorotate,
+        )
+    if chosen.calib == NO_CALIBRATION:
+        source = UncalibratedFrames(source)
+    undistort = chosen.undistort and not chosen.pairs  # rectified images have no lens
+    return CalibratedFrames(source, calibration, undistort=undistort) if calibration or undistort else source
+
+
+def _open_pairs(spec: str | None, chosen: InputConfig) -> Source:
+    """The frames of two cameras."""
+    from frontend.camera.calibration import read_pair
+    from frontend.sources.kinds import local_name
+    from frontend.sources.pairs import find_pair
+    from frontend.sources.stereo import SideBySide, StereoSource
+    from frontend.sources.wrapped import UncalibratedFrames
+    from logs.files import is_log
+
+    if spec is None:
+        if not chosen.stereo or chosen.side_by_side or chosen.right is not None or chosen.calib_file is not None:
+            raise ConfigError("the built-in clip brings its right camera with its calibration: give --stereo alone")
+        from frontend.sources.scene import BuiltInClip
+
+        clip = BuiltInClip(stereo=True)  # type: ignore[call-arg]
+        return UncalibratedFrames(clip) if chosen.calib == NO_CALIBRATION else clip
+    left, right, topics = spec, chosen.right and local_name(chosen.right), (chosen.topic, chosen.right_topic)
+    if right is None and (chosen.side_by_side or is_log(spec)):
+        right = spec
+        if not chosen.side_by_side and chosen.right_topic is None:
+            from logs.files import open_log
+            from logs.topics import stereo_topics
+
+            with closing(open_log(spec)) as file:
+                topics = stereo_topics(file, chosen.topic)
+    elif right is None:
+        left, right = find_pair(spec)
+    calibrations: tuple[Calibration, Calibration] | tuple[None, None] = None, None
+    if chosen.calib_file is not None:
+        calibrations = read_pair(chosen.calib_file, (topics[0] or left, topics[1] or right), chosen.right_calib)
+    if chosen.side_by_side:
+        return SideBySide(_open_one(spec, chosen.topic, chosen, None), *calibrations, rectified=chosen.rectified)
+    first = _open_one(left, topics[0], chosen, calibrations[0])
+    try:
+        second = _open_one(right, topics[1], chosen, calibrations[1])
+    except BaseException:
+        first.close()
+        raise
+    name = Path(spec).resolve().name if Path(left).is_relative_to(spec) else None
+    return StereoSource(first, second, rectified=chosen.rectified, max_gap_s=chosen.max_stereo_gap, name=name)
 
 
 def list_topics(spec: str | None) -> str:
@@ -170,8 +225,11 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | N
 
     if config.recording.image != "video" or config.recording.layer is not None:
         return None
-    if config.input.resize is not None or config.input.undistort:
-        raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
+    if config.input.resize is not None or config.input.undistort or config.input.pairs:
+        raise ConfigError(
+            "--log-image video shows frames as they are in the file: leave --resize and --undistort out, and of pairs "
+            "record the images with --log-image jpeg"
+        )
     if spec is None:
         from frontend.sources.scene import CLIP
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
-from airline.errors import InputError
+from airline.errors import ConfigError, InputError
 from frontend.protocols import Source
 
-__all__ = ["open_source"]
+__all__ = ["open_source", "open_stereo"]
 
 
 def open_source(
@@ -62,3 +63,45 @@ def open_source(
     from frontend.sources.video import VideoSource
 
     return VideoSource(text, autorotate=autorotate, fps=fps)
+
+
+def open_stereo(
+    left: str | os.PathLike[str] | Source,
+    right: str | os.PathLike[str] | Source | None = None,
+    *,
+    rectified: bool = False,
+    max_gap_s: float | None = None,
+    **options: Any,
+) -> Source:
+    """Open two cameras as a source of rectified pairs; see `StereoSource`.
+
+    Args:
+        left: what `open_source` takes, or a source such as one of a log's topics; or without `right` the folder of a
+            sequence of both.
+        right: the same; None for the one that lies beside the left one, by name.
+        rectified, max_gap_s: as of `StereoSource`.
+        options: of `open_source`, for both.
+
+    Raises:
+        InputError: one of them cannot be read, or no second camera is found.
+        ConfigError: an argument that is impossible.
+    """
+    from pathlib import Path
+
+    from frontend.sources.pairs import find_pair
+    from frontend.sources.stereo import StereoSource
+
+    name = None
+    if right is None:
+        if isinstance(left, Source):
+            raise ConfigError("a source alone shows no second camera: give the right one's, too")
+        spec = os.fspath(left)
+        left, right = find_pair(spec)
+        name = Path(spec).resolve().name if Path(left).is_relative_to(spec) else None
+    first = left if isinstance(left, Source) else open_source(left, **options)
+    try:
+        second = right if isinstance(right, Source) else open_source(right, **options)
+    except BaseException:
+        first.close()
+        raise
+    return StereoSource(first, second, rectified=rectified, max_gap_s=max_gap_s, name=name)

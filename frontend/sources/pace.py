@@ -65,8 +65,6 @@ class FreshFrames(WrappedSource):
             are not counted.
     """
 
-    dropped = 0
-
     def __init__(self, source: Source, max_latency_s: float = MAX_LATENCY_S, *, prepares: bool = False) -> None:
         super().__init__(source)
         self._max_latency_s = max_latency_s
@@ -74,9 +72,14 @@ class FreshFrames(WrappedSource):
         self._waiting: deque[Frame] = deque()
         self._changed = threading.Condition()
         self._asked = 0  # frames
+        self._dropped = 0
         self._stopped = False
         self._error: BaseException | None = None
         self._reader = threading.Thread(target=self._read, name="live source")
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped + self._source.dropped  # of a pair's cameras each drops its own
 
     def __iter__(self) -> Iterator[Frame]:
         self._reader.start()
@@ -140,6 +143,6 @@ class FreshFrames(WrappedSource):
     def _drop(self) -> None:
         self._waiting.popleft()
         if self._asked > 1 or not self._prepares:
-            self.dropped += 1
-            if self.dropped == 1:
+            self._dropped += 1
+            if self._dropped == 1:
                 log.warning("%s: frames come faster than they are processed: dropping the oldest", self.name)

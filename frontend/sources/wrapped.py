@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 from operator import attrgetter
-from typing import Any
 
 from airline.errors import ConfigError
 from frontend.camera.calibration import Calibration, fit_camera
@@ -203,5 +202,9 @@ def _resized(frame: Frame, width: int, height: int | None) -> Frame:
         height = max(1, round(rows * width / columns))
     if (columns, rows) == (width, height):
         return frame
-    image: Any = cv2.resize(frame.image, (width, height), interpolation=cv2.INTER_AREA)
-    return replace(frame, image=image, camera=frame.camera and frame.camera.scaled(width, height))
+    image, right = (
+        None if one is None else cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA)
+        for one in (frame.image, frame.right)
+    )
+    camera = frame.camera and frame.camera.scaled(width, height)
+    return replace(frame, image=image, right=right, camera=camera)  # type: ignore[arg-type]

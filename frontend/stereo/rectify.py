@@ -19,6 +19,11 @@ from frontend.sources.reading import Image
 
 Array = NDArray[np.float64]
 
+NO_PLACES = (
+    "the calibration does not say where the two cameras are: give that of both with --calib and --right-calib "
+    "(EuRoC's T_BS, a Kalibr camchain, KITTI's P0 to P3, ROS's P), or say --rectified where both have the same rows"
+)
+
 _STEEP = 0.01  # rows per column of a rectified pair's baseline: KITTI's colour cameras have 0.006
 _TURNED = 1e-4  # entries of the rotation between its cameras, a twentieth of a pixel
 _OFF = 0.05  # px, between their principal points' rows, and of their focal lengths
@@ -50,10 +55,7 @@ class Rectifier:
             )
         if right is None or left.rig_from_camera is None or right.rig_from_camera is None:
             if not rectified:
-                raise InputError(
-                    "the calibration does not say where the two cameras are: give one of both with --calib and "
-                    "--right-calib (EuRoC's T_BS, a Kalibr camchain, KITTI's P0 to P3, ROS's P), or say --rectified"
-                )
+                raise InputError(NO_PLACES)
             return
         left_from_right = inverse(left.rig_from_camera) @ right.rig_from_camera
         turn, baseline = left_from_right[:3, :3], left_from_right[:3, 3]
@@ -73,7 +75,9 @@ class Rectifier:
         left_from_new = np.stack([x, y, np.cross(x, y)], axis=1)
         turns = left_from_new, turn.T @ left_from_new
         middle = np.array([left.width - 1, left.height - 1]) / 2
-        rays = [np.append(camera.normalize(middle), 1) @ turn for camera, turn in zip((left, right), turns, strict=True)]
+        rays = [
+            np.append(camera.normalize(middle), 1) @ turn for camera, turn in zip((left, right), turns, strict=True)
+        ]
         centre = np.mean([ray[:2] / ray[2] for ray in rays], axis=0)
         new = filled_camera(left, centre, lambda plane: all(map(covers, (left, right), (plane, plane), turns)))
         if new is None:

@@ -223,9 +223,9 @@ def test_planning_loads_no_opencv(tmp_path: Path) -> None:
     code = f"""
 import sys
 from pathlib import Path
-from frontend.batch.plan import _calibration_of
+from frontend.batch.plan import _beside
 from frontend.cli.settings import InputConfig
-print(_calibration_of(Path({str(tmp_path / "image_0")!r}), InputConfig()), "cv2" in sys.modules)
+print(*_beside(Path({str(tmp_path / "image_0")!r}), InputConfig()), "cv2" in sys.modules)
 """
     file = write(tmp_path / "calib.txt", KITTI)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

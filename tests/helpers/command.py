@@ -48,7 +48,7 @@ def refusal(*arguments: object, main: Callable[[list[str]], int] = main) -> str:
     """The one sentence with which a command line is refused before it prints anything but what the input is."""
     outcome = command(*arguments, main=main)
     assert outcome.code == 2, outcome
-    begin = ("input: ", "calibration: ", "writing: ", "note: ")
+    begin = ("input: ", "calibration: ", "stereo: ", "writing: ", "note: ")
     assert all(line.startswith(begin) for line in outcome.out.splitlines()), outcome
     assert re.fullmatch(r"error: .{1,500}\n", outcome.err), outcome.err
     return outcome.err.removeprefix("error: ").rstrip("\n")

@@ -1,0 +1,325 @@
+"""Pairs of frames: of two sources by their times, or of pictures that hold both halves."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from statistics import median
+
+import numpy as np
+
+from airline.errors import ConfigError, InputError
+from frontend.camera.calibration import Calibration, fit_camera
+from frontend.camera.model import CameraModel
+from frontend.camera.undistort import values_of
+from frontend.frame import Frame
+from frontend.protocols import Source
+from frontend.sources.pace import FreshFrames
+from frontend.sources.reading import Image
+from frontend.sources.wrapped import WrappedSource
+from frontend.stereo.rectify import NO_PLACES, Rectifier
+
+_STEPS = 31  # of the left camera's times, whose median is its period
+_PERIOD_NS = 33_333_333  # of a camera, until its second frame is there
+
+
+class StereoSource(Source):
+    """Rectified pairs of two cameras' frames, paired by their times: the nearest ones, each in one pair at most.
+
+    A frame is the left camera's, with `Frame.right` and the camera of the rectified pair. Both sources bring the
+    calibration: `Frame.camera` with `rig_from_camera`. Frames without a partner are counted in `unpaired`, and noted.
+    It holds two frames of either source at most; live ones are read by a thread each.
+
+    Args:
+        left, right: the sources; closed with this one.
+        rectified: the images are rectified already; then they need no calibration, but have no metres without one.
+        max_gap_s: how far apart the times of a pair may be, seconds; by default a third of the left camera's period.
+        name: by default the left source's.
+
+    Raises:
+        ConfigError: one of the sources is live and the other is not, or an impossible gap.
+        InputError: while iterating, when there is no pair, the images of one differ in size or depth, or the
+            calibration is missing or none of a pair.
+    """
+
+    name: str
+    live: bool
+    unpaired: tuple[int, int]
+
+    def __init__(
+        self,
+        left: Source,
+        right: Source,
+        *,
+        rectified: bool = False,
+        max_gap_s: float | None = None,
+        name: str | None = None,
+    ) -> None:
+        wrong = None
+        if left.live != right.live:
+            wrong = "one camera of the pair is live, and the other one is recorded: give two of a kind"
+        elif max_gap_s is not None and not 0 <= max_gap_s < 1e9:
+            wrong = f"the times of a pair may be zero or more seconds apart, not {max_gap_s}"
+        if wrong is not None:
+            left.close()
+            right.close()
+            raise ConfigError(wrong)
+        self.name = left.name if name is None else name
+        self.live = left.live
+        self.unpaired = 0, 0
+        self._left, self._right = (FreshFrames(left), FreshFrames(right)) if self.live else (left, right)
+        self._rectify = _Rectify(rectified)
+        self._max_gap_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
+        self._steps: deque[int] = deque(maxlen=_STEPS)
+        self._start_ns: int | None = None
+        self._notes: list[str] = []
+        self._noted = [0, 0]
+
+    @property
+    def frame_count(self) -> int | None:
+        counts = [count for one in (self._left, self._right) if (count := one.frame_count) is not None]
+        return min(counts, default=None)
+
+    @property
+    def skipped(self) -> int:
+        return self._left.skipped + self._right.skipped
+
+    @property
+    def dropped(self) -> int:
+        return self._left.dropped + self._right.dropped
+
+    @property
+    def reconnects(self) -> int:
+        return self._left.reconnects + self._right.reconnects
+
+    @property
+    def kind(self) -> str:
+        """Both kinds or names, and how far apart their times may be."""
+        left, right = self._left, self._right
+        if left.kind == right.kind:
+            both = f"{left.kind}, pairs of '{left.name}' and '{right.name}'"
+        else:
+            both = f"pairs of {left.kind} and {right.kind}"
+        return f"{both} at most {self._gap_ns / 1e6:.3g} ms apart"
+
+    @property
+    def codec(self) -> str:
+        return self._left.codec
+
+    @property
+    def orientation(self) -> str:
+        return self._left.orientation
+
+    @property
+    def calibration(self) -> str | None:
+        return " and ".join(filter(None, (self._left.calibration, self._right.calibration))) or None
+
+    @property
+    def notes(self) -> list[str]:
+        """Of both sources, each in the order in which they came."""
+        for place, (one, prefix) in enumerate(((self._left, ""), (self._right, "right camera: "))):
+            new = one.notes[self._noted[place] :]
+            self._notes += [prefix + note for note in new if not prefix or note not in self._left.notes]
+            self._noted[place] = len(one.notes)
+        return self._notes
+
+    @property
+    def first_stamp_ns(self) -> int | None:
+        return None if self._right.first_stamp_ns is None else self._left.first_stamp_ns
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        return self._left.last_stamp_ns if self._left.frame_count == self._right.frame_count else None
+
+    def seek(self, start_s: float) -> None:
+        """As in `Source`, where both sources can; frames before the start are not counted as unpaired."""
+        first_ns, right_ns = self._left.first_stamp_ns, self._right.first_stamp_ns
+        if first_ns is None or right_ns is None:
+            return
+        self._start_ns = first_ns + round(start_s * 1e9)
+        right_s = (self._start_ns - self._gap_ns - right_ns) / 1e9
+        self._left.seek(start_s)
+        self._right.seek(max(0.0, right_s))
+
+    def stop(self) -> None:
+        self._left.stop()
+        self._right.stop()
+
+    def close(self) -> None:
+        self._left.close()
+        self._right.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        lefts, rights = _Ahead(iter(self._left), self._steps), _Ahead(iter(self._right), deque(maxlen=1))
+        paired = False
+        if not self.live and self._left.first_stamp_ns == self._right.first_stamp_ns == 0:
+            self.notes.append("the times of both cameras begin at zero, so their first frames are taken for one moment")
+        try:
+            while (left := lefts[0]) is not None and (right := rights[0]) is not None:
+                unpaired = self._without_partner(left, right, lefts, rights)
+                if unpaired is None:
+                    lefts.take()
+                    rights.take()
+                    frame = self._rectify(left, right.image, right.camera)
+                    if not paired and self._rectify.remaps:
+                        self.notes.append("both images are rectified by their calibration")
+                    paired = True
+                    yield replace(frame, read_s=max(left.read_s, right.read_s))
+                else:
+                    self._count(unpaired, of_left=unpaired is lefts)
+            for rest in () if self.live else (lefts, rights):
+                while rest[0] is not None:
+                    self._count(rest, of_left=rest is lefts)
+            if not paired and any(self.unpaired):
+                raise InputError(
+                    f"no two frames of '{self._left.name}' and '{self._right.name}' are within "
+                    f"{self._gap_ns / 1e6:.3g} ms of each other: check their times, or give --max-stereo-gap"
+                )
+        finally:
+            if any(self.unpaired):
+                apart = f"within {self._gap_ns / 1e6:.3g} ms"
+                self.notes.append("frames without a partner {}: {} left, {} right".format(apart, *self.unpaired))
+
+    def _without_partner(self, left: Frame, right: Frame, lefts: _Ahead, rights: _Ahead) -> _Ahead | None:
+        """Where the first frame has no partner; None where the first two are a pair.
+
+        A nearer one that comes next is preferred, unless that has a nearer one itself. Live frames do not wait for it.
+        """
+        after, right_after = (None, None) if self.live else (lefts[1], rights[1])
+        gap = _apart(left, right)
+        if gap > self._gap_ns:
+            return lefts if left.stamp_ns < right.stamp_ns else rights
+        if _apart(left, right_after) < min(gap, _apart(after, right_after)):
+            return rights
+        return lefts if _apart(after, right) < min(gap, _apart(after, right_after)) else None
+
+    def _count(self, unpaired: _Ahead, *, of_left: bool) -> None:
+        frame = unpaired.take()
+        if frame is not None and (self._start_ns is None or frame.stamp_ns >= self._start_ns):
+            self.unpaired = self.unpaired[0] + of_left, self.unpaired[1] + (not of_left)
+
+    @property
+    def _gap_ns(self) -> int:
+        if self._max_gap_ns is not None:
+            return self._max_gap_ns
+        # frames that are missing make either of them longer
+        known = [*filter(None, (self._mean_step_ns, median(self._steps) if self._steps else None))]
+        return round(min(known, default=_PERIOD_NS) / 3)
+
+    @cached_property
+    def _mean_step_ns(self) -> float | None:
+        count, first_ns, last_ns = self._left.frame_count, self._left.first_stamp_ns, self._left.last_stamp_ns
+        if count is None or count < 2 or first_ns is None or last_ns is None:
+            return None
+        return (last_ns - first_ns) / (count - 1)
+
+
+class SideBySide(WrappedSource):
+    """Pairs out of pictures whose left half is the left camera's.
+
+    Args:
+        source: the pictures; what camera they carry is left.
+        left, right: calibrations of the halves, with `rig_from_camera`.
+        rectified: as of `StereoSource`.
+
+    Raises:
+        InputError: while iterating, as of `StereoSource`; a picture has an odd width.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        left: CameraModel | Calibration | None = None,
+        right: CameraModel | Calibration | None = None,
+        *,
+        rectified: bool = False,
+    ) -> None:
+        super().__init__(source)
+        self._files = [str(one) for one in (left, right) if isinstance(one, Calibration)]
+        self._cameras = [one.camera if isinstance(one, Calibration) else one for one in (left, right)]
+        self._rectify = _Rectify(rectified)
+        self._notes: list[str] = []
+
+    @property
+    def kind(self) -> str:
+        return f"{self._source.kind}, two halves side by side"
+
+    @property
+    def calibration(self) -> str | None:
+        return " and ".join(self._files) or None
+
+    @property
+    def notes(self) -> list[str]:
+        own = ["both halves are rectified by their calibration"] if self._rectify.remaps else []
+        return [*own, *self._source.notes]
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            height, width = frame.image.shape[:2]
+            if width % 2:
+                raise InputError(f"a picture {width} px wide has no two halves: leave --side-by-side out")
+            self._cameras = [camera and fit_camera(camera, width // 2, height) for camera in self._cameras]
+            halves = (np.ascontiguousarray(half) for half in np.split(frame.image, 2, axis=1))
+            left, right = halves
+            yield self._rectify(replace(frame, image=left, camera=self._cameras[0]), right, self._cameras[1])
+
+
+class _Ahead:
+    """The next two frames of a source, None behind the last; times between frames go into `steps`, ns."""
+
+    def __init__(self, frames: Iterator[Frame], steps: deque[int]) -> None:
+        self._frames, self._steps = frames, steps
+        self._held: list[Frame | None] = []
+        self._latest: int | None = None
+
+    def __getitem__(self, place: int) -> Frame | None:
+        while len(self._held) <= place:
+            frame = next(self._frames, None)
+            self._held.append(frame)
+            if frame is not None:
+                if self._latest is not None and frame.stamp_ns > self._latest:
+                    self._steps.append(frame.stamp_ns - self._latest)
+                self._latest = frame.stamp_ns
+        return self._held[place]
+
+    def take(self) -> Frame | None:
+        frame = self[0]
+        del self._held[0]
+        return frame
+
+
+class _Rectify:
+    """Makes rectified pairs; `Rectifier` for cameras that may change on the way."""
+
+    def __init__(self, rectified: bool) -> None:
+        self._rectified = rectified
+        self._rectifier: Rectifier | None = None
+        self._made_for: list[tuple[object, ...] | None] = []
+
+    @property
+    def remaps(self) -> bool:
+        return self._rectifier is not None and self._rectifier.remaps
+
+    def __call__(self, left: Frame, image: Image, camera: CameraModel | None) -> Frame:
+        """The left frame with the image of the right camera, both rectified."""
+        if (left.image.shape[:2], left.image.dtype) != (image.shape[:2], image.dtype):
+            both = (left.image, image)
+            sizes = " and ".join(f"{one.shape[1]}x{one.shape[0]} px of {8 * one.itemsize} bits" for one in both)
+            raise InputError(f"the images of a pair must be of one size and depth, not {sizes}: resize one of them")
+        if left.camera is None:
+            if not self._rectified:
+                raise InputError(NO_PLACES)
+            return replace(left, right=image)
+        values = [None if one is None else values_of(one) for one in (left.camera, camera)]
+        if self._rectifier is None or values != self._made_for:
+            self._rectifier = Rectifier(left.camera, camera, rectified=self._rectified)
+            self._made_for = values
+        left_image, right_image = self._rectifier(left.image, image)
+        return replace(left, image=left_image, right=right_image, camera=self._rectifier.camera)
+
+
+def _apart(left: Frame | None, right: Frame | None) -> float:
+    """Nanoseconds between two frames; infinite where one is missing."""
+    return float("inf") if left is None or right is None else abs(left.stamp_ns - right.stamp_ns)
