@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -57,6 +58,13 @@ def build_parser() -> Parser:
         metavar="DIR",
         help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
     )
+    parser.add_argument(
+        "--stereo",
+        type=Path,
+        nargs="*",
+        metavar="DIR",
+        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest",
+    )
     parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
     parser.add_argument(
         "--worst",
@@ -87,6 +95,8 @@ def run(options: argparse.Namespace) -> None:
 
     if options.match is not None:
         return _match(options)
+    if options.stereo is not None:
+        return _stereo(options)
     clips, posed_clips = _chosen(options)
     detect = AirLine()
     sequences: dict[str, Any] = {}
@@ -126,6 +136,46 @@ def _match(options: argparse.Namespace) -> None:
     write_json(options.json, {"matches": figures})
 
 
+def _stereo(options: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from airline.detector import AirLine
+    from frontend.evaluation import report, stereo
+    from frontend.evaluation.posed import PosedClip
+    from frontend.sources import open_stereo
+
+    detect = AirLine()
+    partners: dict[str, Any] = {}
+    first: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    clips = stereo.rendered_pairs()
+    for name in [] if options.stereo else _named(options, list(clips)):
+        clip = clips[name]
+        truths: list[stereo.PairTruth] = []
+        with progress(name, min(len(clip), options.limit or len(clip))) as advance:
+            runs = stereo.follow(stereo.frames_of(clip, options.limit, truths), detect, advance)
+        partners[name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
+    for folder in options.stereo:
+        posed = PosedClip(folder) if (folder / "poses.txt").is_file() else None
+        with closing(open_stereo(folder)) as source, progress(source.name, source.frame_count) as advance:
+            runs = stereo.follow(islice(source, options.limit), detect, advance)
+        if posed is None:
+            rest[source.name] = {kind: stereo.rest_scores(run) for kind, run in runs.items()}
+        else:
+            first[source.name] = {kind: stereo.first_pair_scores(run, posed) for kind, run in runs.items()}
+    console = Console()
+    if partners:
+        console.print(report.table("Partners in the right image", partners, report.PARTNERS))
+        console.print(report.table("Their disparities", partners, report.DISPARITIES))
+        console.print(report.table("Error of distances, %", partners, report.BY_DISTANCE))
+    if first:
+        console.print(report.table("Lines from a first pair", first, report.FIRST_PAIRS))
+    if rest:
+        console.print(report.table("Upright lines at rest", rest, report.AT_REST))
+    console.print(report.STEREO_LEGEND)
+    write_json(options.json, {"partners": partners, "first_pairs": first, "at_rest": rest})
+
+
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
     """Clips with known identities and clips with known poses that the arguments name."""
     from frontend.evaluation.icl import LabelledClip
@@ -140,13 +190,19 @@ def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
         clips.append(LabelledClip(options.icl))
     posed = [PosedClip(folder) for folder in options.posed]
     names = [clip.name for clip in clips] + [clip.name for clip in posed]
-    wanted = options.sequence or names
+    wanted = _named(options, names)
     for name in wanted:
-        if name not in names:
-            raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
         if names.count(name) > 1:
             raise InputError(f"two sequences are called '{name}': rename a folder")
     return [clip for clip in clips if clip.name in wanted], [clip for clip in posed if clip.name in wanted]
+
+
+def _named(options: argparse.Namespace, names: list[str]) -> list[str]:
+    """Those of the names that the arguments ask for."""
+    for name in options.sequence or []:
+        if name not in names:
+            raise InputError(f"no sequence '{name}': there are {', '.join(names)}")
+    return options.sequence or names
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ def _open_pairs(spec: str | None, chosen: InputConfig) -> Source:
             raise ConfigError("the built-in clip brings its right camera with its calibration: give --stereo alone")
         from frontend.sources.scene import BuiltInClip
 
-        clip = BuiltInClip(stereo=True)  # type: ignore[call-arg]
+        clip = BuiltInClip(stereo=True)
         return UncalibratedFrames(clip) if chosen.calib == NO_CALIBRATION else clip
     left, right, topics = spec, chosen.right and local_name(chosen.right), (chosen.topic, chosen.right_topic)
     if right is None and (chosen.side_by_side or is_log(spec)):

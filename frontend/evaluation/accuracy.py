@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.evaluation.metrics import Figures, linked, rounded
-from frontend.evaluation.truth import Record
+from frontend.evaluation.truth import Record, longest_pieces
 from frontend.tracks import LineTracks
 
 BORDER = 2.0  # px: a true end point nearer to the image's border is where the image ends, not the line
@@ -107,11 +107,7 @@ def _percentile(errors: Array, percent: float) -> float | None:
 
 def _true_lines(record: Record, rows: Rows) -> Array:
     """(N, 2, 2) the longest piece of the true line of each row, px."""
-    truth = record.truth
-    delta = truth.segments_px[:, 1] - truth.segments_px[:, 0]
-    order = np.lexsort((np.hypot(delta[:, 0], delta[:, 1]), truth.ids))
-    last = np.searchsorted(truth.ids[order], record.owners[rows], side="right") - 1
-    return truth.segments_px[order[last]].astype(np.float64)
+    return record.truth.segments_px[longest_pieces(record.truth, record.owners[rows])].astype(np.float64)
 
 
 def _backwards(segments: Array | NDArray[np.float32], lines: Array) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from frontend.evaluation.consistency import FRAMES, LENGTHS
+from frontend.evaluation.stereo import DISTANCES
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,6 +55,23 @@ an end from the other line, 10 degrees, and half of their lengths; R is of the
 pairs that could be made so. votes: frontend.match; nearest: nearest neighbour
 where the line was; moved: where votes' homography has it."""
 
+STEREO_LEGEND = """\
+ours: partners of the tracks. plain: LSD in both images, tracks by optical flow,
+and of the lines with the same rows, direction and grey levels the one with the
+least disparity. P: precision of partners whose true lines are known in both
+images, %; wrong: how many are not right; unknown: how many others there are;
+astray: those of them with a known line on the left alone. R: of lines that can
+be seen in both images those with the right partner, %. depth: partners that
+tell how far away both ends are, flat: such along the rows, %. rms, median: of
+the disparity's errors at the ends, px. chi2: mean of their squares over what
+the variances say, chi2 50 %: the same from the median; 1 where these are honest.
+By distance: median error over it, % (ends). Lines from a first pair: of tracks
+seen in 5 frames and more those whose first pair tells their line in space;
+always, usually: it is within 2 px of what was seen in all later frames, in the
+median one. At rest: tracks of upright lines in half of the pairs and more, the
+median length and distance of the median one, and the spread over the pairs
+(1.48 times the median deviation). ms: median time of matching."""
+
 Row = Mapping[str, Any]  # a tracker's figures
 Columns = Mapping[str, Callable[[Row], str]]
 
@@ -62,9 +80,9 @@ def _number(key: str, form: str, factor: int = 1) -> Callable[[Row], str]:
     return lambda row: "-" if row[key] is None else format(row[key] * factor, form)
 
 
-def _group(kind: str, name: str) -> Callable[[Row], str]:
-    share = _number("share", ".0f", 100)
-    return lambda row: f"{share(row[kind][name])} ({row[kind][name]['tracks']})"
+def _group(kind: str, name: str, what: str = "share", count: str = "tracks", form: str = ".0f") -> Callable[[Row], str]:
+    share = _number(what, form, 100)
+    return lambda row: f"{share(row[kind][name])} ({row[kind][name][count]})"
 
 
 IDENTITIES: Columns = {
@@ -128,8 +146,43 @@ CONSISTENT: Columns = {
     "parallax": _number("parallax_deg", ".2f"),
     "ms": _number("ms", ".1f"),
 }
+PARTNERS: Columns = {
+    "pairs": _number("partners", "d"),
+    "P": _number("precision", ".1f", 100),
+    "wrong": _number("wrong", "d"),
+    "unknown": _number("unknown", "d"),
+    "astray": _number("astray", "d"),
+    "R": _number("recall", ".1f", 100),
+    "ms": _number("ms", ".1f"),
+}
+DISPARITIES: Columns = {
+    "depth": _number("depth_known", ".0f", 100),
+    "flat": _number("along_rows", ".0f", 100),
+    "rms": _number("disparity_rms_px", ".2f"),
+    "median": _number("disparity_median_px", ".2f"),
+    "chi2": _number("chi2", ".2f"),
+    "chi2 50 %": _number("chi2_median", ".2f"),
+}
+FIRST_PAIRS: Columns = {
+    "tracks": _number("tracks", "d"),
+    "of": _number("of", "d"),
+    "always": _number("always", "d"),
+    "share": _number("always_share", ".1f", 100),
+    "usually": _number("usually", "d"),
+    "share ": _number("usually_share", ".1f", 100),
+    "ms": _number("ms", ".1f"),
+}
+AT_REST: Columns = {
+    "tracks": _number("tracks", "d"),
+    "length, m": _number("length_m", ".2f"),
+    "spread, %": _number("length_spread", ".1f", 100),
+    "distance, m": _number("depth_m", ".2f"),
+    "spread, % ": _number("depth_spread", ".1f", 100),
+    "ms": _number("ms", ".1f"),
+}
 BY_LENGTH: Columns = {f"{name} px": _group("by_length", name) for name in LENGTHS}
 BY_FRAMES: Columns = {name: _group("by_frames", name) for name in FRAMES}
+BY_DISTANCE: Columns = {f"from {low} m": _group("depth", f"{low}", "error", "ends", ".1f") for low in DISTANCES}
 
 
 def table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) -> Table:

@@ -143,6 +143,13 @@ def owners(detected: NDArray[np.float32], truth: Truth) -> NDArray[np.int64]:
     return np.where(lines >= 0, ids[lines] if len(ids) else UNKNOWN, lines)
 
 
+def longest_pieces(truth: Truth, ids: NDArray[np.int64]) -> NDArray[np.intp]:
+    """(N,) rows of the longest pieces of true lines (N,) that can be seen."""
+    delta = truth.segments_px[:, 1] - truth.segments_px[:, 0]
+    order = np.lexsort((np.hypot(delta[:, 0], delta[:, 1]), truth.ids))
+    return np.asarray(order[np.searchsorted(truth.ids[order], ids, side="right") - 1])
+
+
 @njit()
 def _owners(detected, pieces, line_of_piece, lines):  # type: ignore[no-untyped-def]
     owner = np.full(len(detected), UNKNOWN, np.int64)

@@ -1,12 +1,14 @@
 """Rendered scenes as sources of frames, and the built-in clip: one of them as a small video, with its truth beside it.
 
-`python -m frontend.sources.scene` renders that clip anew: `corridor.mp4`, the camera as `camera.json`, and `poses.txt`
-with a row "time x y z qx qy qz qw" per frame, world from camera, in s and m, as TUM's trajectories are written.
+`python -m frontend.sources.scene` renders that clip anew: `corridor.mp4`, the camera as `camera.json`, both also of a
+second camera to its right (`corridor_right.mp4`, `camera_right.json`), and `poses.txt` with a row
+"time x y z qx qy qz qw" per frame, world from left camera, in s and m, as TUM's trajectories are written.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +16,9 @@ from frontend.camera.calibration import read_calibration
 from frontend.camera.model import CameraModel
 from frontend.frame import Frame
 from frontend.protocols import Source
+from frontend.sources.stereo import StereoSource
 from frontend.sources.video import VideoSource
-from frontend.sources.wrapped import CalibratedFrames
+from frontend.sources.wrapped import CalibratedFrames, WrappedSource
 
 if TYPE_CHECKING:
     from airline.scenes import RenderedClip, RenderedView
@@ -23,16 +26,29 @@ if TYPE_CHECKING:
 CLIP = Path(__file__).with_name("clip") / "corridor.mp4"
 """A hand-held walk of ten seconds along a corridor, 640x480."""
 
+_CAMERAS = ("", "_right")
 _QUALITY = {"crf": "20", "preset": "slow", "g": "60", "threads": "1"}
 
 
-class BuiltInClip(CalibratedFrames):
-    """Frames of the built-in clip, with their camera."""
+class BuiltInClip(WrappedSource):
+    """Frames of the built-in clip, with their camera.
+
+    Args:
+        stereo: with the right camera's images.
+    """
 
     kind = "built-in clip"
 
-    def __init__(self) -> None:
-        super().__init__(VideoSource(CLIP), read_calibration(CLIP.with_name("camera.json")).camera)
+    def __init__(self, *, stereo: bool = False) -> None:
+        cameras = [_camera(of) for of in (_CAMERAS if stereo else _CAMERAS[:1])]
+        super().__init__(StereoSource(*cameras) if stereo else cameras[0])
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._source)
+
+
+def _camera(of: str) -> Source:
+    return CalibratedFrames(VideoSource(_beside(CLIP, of)), read_calibration(_beside(CLIP, of, "camera.json")).camera)
 
 
 class SceneSource(Source):
@@ -77,8 +93,8 @@ def built_in_clip() -> RenderedClip:
     return RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
 
 
-def write_clip(views: Iterable[RenderedView], video: Path) -> None:
-    """Write rendered views of 640x480 px at 30 frames/s as an H.264 video, and the truth beside it."""
+def write_clip(pairs: Iterable[tuple[RenderedView, RenderedView]], video: Path) -> None:
+    """Write rendered views of 640x480 px at 30 frames/s as two H.264 videos, and the truth beside them."""
     import json
 
     import av
@@ -86,21 +102,35 @@ def write_clip(views: Iterable[RenderedView], video: Path) -> None:
     from scipy.spatial.transform import Rotation
 
     rows = []
-    with av.open(str(video), "w") as file:
-        stream = file.add_stream("libx264", rate=30, options=_QUALITY)
-        assert isinstance(stream, av.VideoStream)
-        stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
-        for index, view in enumerate(views):
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(view.image, format="bgr24")))
-            turn = Rotation.from_matrix(view.pose[:3, :3]).as_quat()
-            rows.append((view.stamp_ns * 1e-9, *view.pose[:3, 3], *turn))
-            camera = frame_of(index, view).camera
-        file.mux(stream.encode())
+    with ExitStack() as stack:
+        files = [stack.enter_context(av.open(str(_beside(video, of)), "w")) for of in _CAMERAS]
+        streams = [file.add_stream("libx264", rate=30, options=_QUALITY) for file in files]
+        for stream in streams:
+            stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
+        for index, pair in enumerate(pairs):
+            for file, stream, view in zip(files, streams, pair, strict=True):
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(view.image, format="bgr24")))
+            pose = pair[0].pose
+            rows.append((pair[0].stamp_ns * 1e-9, *pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()))
+            camera = frame_of(index, *pair).camera
+        for file, stream in zip(files, streams, strict=True):
+            file.mux(stream.encode())
     assert camera is not None
     numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    video.with_name("camera.json").write_text(json.dumps(numbers, indent=2) + "\n")
+    for of, x in zip(_CAMERAS, (0.0, camera.baseline_m), strict=True):
+        place = [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+        text = json.dumps({**numbers, "rig_from_camera": place}, indent=2)
+        _beside(video, of, "camera.json").write_text(text + "\n")
     np.savetxt(video.with_name("poses.txt"), rows, fmt="%.9f", header="time x y z qx qy qz qw, world from camera")
 
 
+def _beside(video: Path, of: str, name: str = "") -> Path:
+    """The file of a camera beside a video; by default its video."""
+    file = video.with_name(name or video.name)
+    return file.with_stem(file.stem + of)
+
+
 if __name__ == "__main__":
-    write_clip(built_in_clip(), CLIP)
+    from airline.scenes import render_pairs
+
+    write_clip(render_pairs(built_in_clip()), CLIP)

@@ -6,7 +6,7 @@ left line's end point (x, y) and the right line's x' in the same row, the dispar
 
     (o' + t' a') / u'_y - (o + t a) / u_y
 
-The bias that offsets have (`frontend.tracking.measurement.BIAS`) is the same in both views, and takes itself away.
+Two views of one edge have the same texture beside it and the same bias, so half of their errors is common.
 At infinity the disparity is `CameraModel.disparity_offset`; Z = fx baseline / (disparity - offset).
 """
 
@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.camera.model import CameraModel
-from frontend.tracking.measurement import BIAS
 
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
-MAX_ERROR = 1.0  # px, standard deviation of a disparity that tells a depth,
+MAX_ERROR = 0.75  # px, standard deviation of a disparity that tells a depth,
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
+ALIKE = 0.5  # correlation of the errors of both views, as measured on rendered pairs
 
-COMMON = 1.0
-BIAS = 0.12
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
 
@@ -40,7 +38,7 @@ def disparities(
 
     Returns:
         (N, 2) float32 px, NaN for lines along the rows; their (N, 2, 2) float32 covariances, px^2; and the (N,) mask
-        of those that are known within 1 px and beyond doubt (three standard deviations) from infinity, at both ends.
+        of those that are known within 0.75 px and beyond doubt (three standard deviations) from infinity, at both ends.
     """
     ours, theirs = _along_rows(left, left[..., 1]), _along_rows(right, left[..., 1])
     disparity = left[..., 0] - theirs[0] + 0 * ours[1]  # NaN where the left line runs along the rows
@@ -113,8 +111,9 @@ def _jacobian(left: tuple[Array, Array, Array], right: tuple[Array, Array, Array
 
 
 def _both(left: Float32, right: Float32) -> Array:
-    """(N, 4, 4) covariances of two views of a line, that share the bias of its offset: both see the same edge."""
+    """(N, 4, 4) covariances of two views of a line, whose errors are alike."""
     errors = np.zeros((len(left), 4, 4))
     errors[:, :2, :2], errors[:, 2:, 2:] = left, right
-    errors[:, 0, 2] = errors[:, 2, 0] = BIAS**2
+    for k in range(2):
+        errors[:, k, 2 + k] = errors[:, 2 + k, k] = ALIKE * np.sqrt(errors[:, k, k] * errors[:, 2 + k, 2 + k])
     return errors

@@ -63,9 +63,8 @@ class PartnerFinder:
         last, hits = self._remembered(tracks.ids)
         ranges = self._ranges(last, infinity, images[0].shape[1])
         ours = LineFeatures(tracks.observed_px, tracks.descriptors, side_profiles(images[0], tracks.observed_px))
-        theirs = LineFeatures(
-            right.lines.segments, right.lines.descriptors, np.zeros((len(right.lines), 0), np.float32)
-        )
+        segments = right.lines.segments
+        theirs = LineFeatures(segments, right.lines.descriptors, side_profiles(images[1], segments))
         votes, disparities = partner_votes(images, (ours, theirs), ranges, _gain(*images))
         chosen = _chosen(votes, disparities, ours.segments, ~np.isnan(last[:, 0]))
         self._check_sides(disparities[np.arange(len(chosen)), chosen][chosen >= 0] - infinity)
@@ -159,12 +158,10 @@ def _chosen(
         segments: (N, 2, 2) the left lines.
         known: (N,) mask of those that had a partner in the last frame, which are not in doubt.
     """
-    middles, raised = segments.mean(axis=1), votes
-    for _ in range(2):
-        chosen = assign(raised, MIN_VOTE)
-        sure = np.flatnonzero((chosen >= 0) & (known | (rivals(raised, disparities, chosen, APART) < SURE)))
-        theirs = disparities[sure, chosen[sure]].mean(axis=1)
-        raised = supported(votes, disparities, middles, theirs, middles[sure], NEAREST, REACH)
+    chosen, middles = assign(votes, MIN_VOTE), segments.mean(axis=1)
+    sure = np.flatnonzero((chosen >= 0) & (known | (rivals(votes, disparities, chosen, APART) < SURE)))
+    theirs = disparities[sure, chosen[sure]].mean(axis=1)
+    raised = supported(votes, disparities, middles, theirs, middles[sure], NEAREST, REACH)
     chosen = assign(raised, MIN_VOTE)
     doubt = ~known & (rivals(raised, disparities, chosen, APART) >= SURE_ENOUGH)
     return np.where(doubt, -1, chosen).astype(np.int32)

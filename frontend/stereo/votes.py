@@ -12,6 +12,7 @@ from frontend.tracking.overlap import LineFeatures
 
 MIN_COS = np.cos(np.deg2rad(25.0))  # of the angle between two views of a line
 MIN_AGREEMENT = 0.5  # of their descriptors
+MIN_APPEARANCE = 0.0  # and of their profiles
 MIN_OVERLAP = 0.5  # of the shorter one
 ROW_ERROR = 2.5  # px that a line along the rows may lie above or below its partner
 ACROSS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px from the line
@@ -37,7 +38,7 @@ def partner_votes(
 
     Args:
         images: (H, W) left and right one.
-        lines: N left ones and M right ones; profiles are not used.
+        lines: N left ones and M right ones.
         ranges: (N, 2) px, least and most disparity.
         gain: by which right grey levels become left ones, and what is added.
 
@@ -48,13 +49,27 @@ def partner_votes(
     left, right = lines
     shape = len(left.segments), len(right.segments)
     votes, found = np.zeros(shape, np.float32), np.zeros((*shape, 2), np.float32)
-    each = [(np.ascontiguousarray(one.segments, np.float64), one.descriptors) for one in lines]
+    each = [(np.ascontiguousarray(one.segments, np.float64), one.descriptors, one.profiles) for one in lines]
     _vote(*images, *each[0], *each[1], ranges, *gain, votes, found)
     return votes, found
 
 
 @njit()
-def _vote(image, other_image, segments, descriptors, others, other_descriptors, ranges, gain, lift, votes, found):  # type: ignore[no-untyped-def]
+def _vote(
+    image,
+    other_image,
+    segments,
+    descriptors,
+    profiles,
+    others,
+    other_descriptors,
+    other_profiles,
+    ranges,
+    gain,
+    lift,
+    votes,
+    found,
+):  # type: ignore[no-untyped-def]
     work = np.empty((2, len(ACROSS), STATIONS))
     turned, place = np.empty((2, 2)), np.empty(4)
     units, tops, bottoms = _units_and_rows(others)
@@ -84,6 +99,11 @@ def _vote(image, other_image, segments, descriptors, others, other_descriptors, 
                     agreement = np.float32(0)
                     for k in range(descriptors.shape[1]):
                         agreement += descriptors[i, k] * other_descriptors[j, k]
+                    appearance, last = np.float32(0), profiles.shape[1] - 1
+                    for k in range(last + 1):
+                        appearance += profiles[i, k] * other_profiles[j, k if cosine > 0 else last - k]
+                    if appearance < MIN_APPEARANCE:
+                        agreement = np.float32(0)
                 if agreement < MIN_AGREEMENT:
                     break
                 vote = overlap**0.25 * agreement
@@ -229,18 +249,23 @@ def rivals(votes, disparities, chosen, apart):  # type: ignore[no-untyped-def]
 
     Disparities that differ by less than `apart` px are one. 1 for lines without a choice.
     """
+    best, owner = np.zeros(len(votes)), np.full(votes.shape[1], -1)
+    for i in range(len(votes)):
+        if chosen[i] >= 0:
+            owner[chosen[i]] = i
+    for i in range(len(votes)):
+        for j in range(votes.shape[1]):
+            vote = votes[i, j]
+            if vote <= 0:
+                continue
+            here = disparities[i, j, 0] + disparities[i, j, 1]
+            for k in (i, owner[j]):  # whose line, or whose partner, this pair would take
+                if k < 0 or vote <= best[k] or chosen[k] < 0:
+                    continue
+                if abs(disparities[k, chosen[k], 0] + disparities[k, chosen[k], 1] - here) > 2 * apart:
+                    best[k] = vote
     share = np.ones(len(votes))
     for i in range(len(votes)):
-        j = chosen[i]
-        if j < 0:
-            continue
-        own = disparities[i, j, 0] + disparities[i, j, 1]
-        best = 0.0
-        for k in range(votes.shape[1]):
-            if votes[i, k] > best and abs(disparities[i, k, 0] + disparities[i, k, 1] - own) > 2 * apart:
-                best = votes[i, k]
-        for k in range(len(votes)):
-            if votes[k, j] > best and abs(disparities[k, j, 0] + disparities[k, j, 1] - own) > 2 * apart:
-                best = votes[k, j]
-        share[i] = best / votes[i, j]
+        if chosen[i] >= 0:
+            share[i] = best[i] / votes[i, chosen[i]]
     return share

@@ -28,10 +28,23 @@ def test_it_is_the_rendered_one_and_its_truth_lies_beside_it():
         assert np.allclose(Rotation.from_quat(rows[k, 4:]).as_matrix(), view.pose[:3, :3])
 
 
+def test_the_second_camera_stands_beside_the_first():
+    clip, source = built_in_clip(), BuiltInClip(stereo=True)
+    frame = next(iter(source))
+    source.close()
+    assert np.abs(frame.image.astype(int) - clip.render(0).image).mean() < 4
+    assert np.abs(frame.right.astype(int) - clip.render(0, right=True).image).mean() < 4
+    assert frame.camera.baseline_m == pytest.approx(clip.baseline_m)
+    assert source.unpaired == (0, 0)
+    assert source.kind == BuiltInClip.kind
+
+
 def test_the_command_writes_such_a_clip(tmp_path, monkeypatch):
-    views = [built_in_clip().render(k) for k in range(3)]
-    write_clip(views, tmp_path / "corridor.mp4")
+    pairs = [(built_in_clip().render(k), built_in_clip().render(k, right=True)) for k in range(3)]
+    write_clip(pairs, tmp_path / "corridor.mp4")
     monkeypatch.setattr("frontend.sources.scene.CLIP", tmp_path / "corridor.mp4")
-    for frame, view in zip(BuiltInClip(), views, strict=True):
-        assert np.abs(frame.image.astype(int) - view.image).mean() < 4
-        assert np.allclose(frame.camera.matrix, view.K)
+    for frame, (left, right) in zip(BuiltInClip(stereo=True), pairs, strict=True):
+        assert np.abs(frame.image.astype(int) - left.image).mean() < 4
+        assert np.abs(frame.right.astype(int) - right.image).mean() < 4
+        assert np.allclose(frame.camera.matrix, left.K)
+        assert frame.camera.baseline_m == pytest.approx(built_in_clip().baseline_m)
