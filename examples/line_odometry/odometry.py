@@ -8,6 +8,9 @@
 `frontend.start` begins. From then on every frame's pose comes from the map by RANSAC; every few frames one is kept (a
 keyframe), new lines are triangulated, and the newest keyframes and what they see are smoothed together. Lines that do
 not stay one line in space leave the map. Where nothing in view is in the map for long, another map begins behind it.
+
+A rectified pair is two views under one pose: its first frame makes a map, in metres, and so does each keyframe of lines
+that are new.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ USABLE = (
 KNOWN = 0.02  # spread of what poses are found by
 LEAST_KNOWN = 30  # lines, in the current view, before which the best of the others help out
 MOST_SMOOTHED = 150  # lines, those known best
-LOST = 10  # frames without a pose before another map begins
+LOST = 10, 2  # frames without a pose before another map begins, for one camera and for a pair
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,8 @@ class LineOdometry:
         first: that frame.
         map, points: the lines so far, and the points.
         lost: frames whose pose was guessed from the motion before, for want of anything that the map knows.
-        begun: frames with which maps began; what comes from the second on has a scale of its own, guessed likewise.
+        begun: frames with which maps began; what comes from the second on is placed by such a guess, and of one camera
+            scaled by it.
         failed: keyframes that GTSAM could not solve for; the graph began anew there.
         waits: why it has not begun.
         baseline_m: of the pair of cameras; 0: of one camera, and no metres.
@@ -121,7 +125,7 @@ class LineOdometry:
             self.lost.append(len(self._places))
             self._place(near)
         self._waiting.append(tracks)
-        if not self._places or len(self._waiting) > LOST:
+        if not self._places or len(self._waiting) > LOST[self.baseline_m > 0]:
             self._begin()
 
     def trajectory(self) -> Array:
@@ -143,7 +147,7 @@ class LineOdometry:
     def _begin(self) -> None:
         """Begin a map with the frames that wait, if they tell how the camera moved; of a pair with the last one."""
         if self.baseline_m:
-            known, drop = self._waiting[-1].depth_known, -LOST
+            known, drop = self._waiting[-1].depth_known, -LOST[1]
             found = np.eye(3, 4)[None]
             self.waits = "too few lines have a depth" if known is None or known.sum() < LEAST else ""
         else:

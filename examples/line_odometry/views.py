@@ -73,7 +73,7 @@ class View:
         infinity = 0.0 if there.camera is None else there.camera.disparity_offset
         right = replace(
             there,
-            observed_px=there.right_px + np.float32((infinity, 0)),
+            observed_px=there.right_px + np.array((infinity, 0), np.float32),
             observed_covariances=there.right_covariances,
             point_ids=there.point_ids[:0],
             points_px=there.points_px[:0],
