@@ -1,9 +1,10 @@
-"""The path of the camera from tracked lines: `python examples/10_line_odometry.py [--baselines] [--clip DIR]`.
+"""The path of the camera from tracked lines: `python examples/10_line_odometry.py [--stereo] [--clip DIR]`.
 
 Lines are tracked, `frontend.start` begins (flow points help it), every further pose comes from the map, and the newest
 keyframes and their lines are smoothed in GTSAM (`line_odometry/`, read `odometry.py` first). Nothing is given but the
 camera: the true poses are for the score, and for the map of lines beside it. --clip DIR takes a folder with images,
-calib.txt and poses.txt, as KITTI's sequences are handed around.
+calib.txt and poses.txt, as KITTI's sequences are handed around. With --stereo, a second camera to the right, the path
+begins at the first frame and is in metres: it is compared as it is, while that of one camera gets the true one's scale.
 """
 
 import argparse
@@ -34,6 +35,7 @@ except ImportError as error:
 
 COLUMNS = {
     "ate_percent": "path, %",
+    "scale_percent": "scale, %",
     "rotation_deg": "rotation, °",
     "lost_frames": "no pose",
     "maps": "maps",
@@ -59,8 +61,11 @@ def run(seen: Seen, name: str, points: bool, save: Path | None = None) -> Figure
     figures["maps"] = float(len(odometry.begun))
     views = [View.of(tracks).lines for tracks in seen.tracks[name]]
     if len(poses):
-        path = align(poses, seen.poses[odometry.first :])
+        true, metric = seen.poses[odometry.first :], odometry.baseline_m > 0
+        path = align(poses, true, metres=metric)
         figures.update(ate_percent=path.ate_percent, rotation_deg=path.rotation_deg)
+        if metric:
+            figures["scale_percent"] = 100 / align(poses, true).scale - 100
         if save is not None:
             show(save, seen, map_lines(views[odometry.first :], poses, seen.focal)[1], path)
     else:
@@ -73,13 +78,14 @@ def run(seen: Seen, name: str, points: bool, save: Path | None = None) -> Figure
     return figures
 
 
-def many(first: int, last: int, names: list[str], points: bool, max_lines: int) -> dict[str, Figures]:
+def many(first: int, last: int, names: list[str], points: bool, max_lines: int, stereo: bool) -> dict[str, Figures]:
     """The same of rendered streets and rooms of the seeds: how many begin, and how well they go on."""
     results: dict[str, Figures] = {}
     for kind in ("street", "indoor"):
         rows: dict[str, list[Figures]] = {name: [] for name in names}
         for seed in range(first, last):
-            seen = rendered(RenderedClip(kind=kind, motion="handheld", seed=seed, frames=SEED_FRAMES), names, max_lines)
+            clip = RenderedClip(kind=kind, motion="handheld", seed=seed, frames=SEED_FRAMES)
+            seen = rendered(clip, names, max_lines, stereo=stereo)
             for name in names:
                 rows[name].append(run(seen, name, points))
                 print(kind, seed, name, {key: value for key, value in rows[name][-1].items() if value is not None})
@@ -104,6 +110,7 @@ parser = argparse.ArgumentParser(description="Estimate the camera's path from tr
 parser.add_argument(
     "--clip", type=Path, metavar="DIR", help="images/, calib.txt, poses.txt (default: the built-in clip)"
 )
+parser.add_argument("--stereo", action="store_true", help="with the right camera (of --clip: images_right/)")
 parser.add_argument("--frames", type=int, metavar="N", help="use the first N frames (200 of the built-in clip)")
 parser.add_argument("--slice", type=part, metavar="A:B:C", help="frames of --clip: 0:26 the first half, ::-1 backwards")
 parser.add_argument("--max-lines", type=int, default=0, metavar="N", help="of ours in each frame, the best (0: all)")
@@ -117,13 +124,15 @@ options = parser.parse_args()
 names = [OURS, *([FUSED] if options.fused else []), *([LSD] if options.baselines else [])]
 try:
     if options.seeds is not None:
-        results = many(*options.seeds, names, options.points, options.max_lines)
+        results = many(*options.seeds, names, options.points, options.max_lines, options.stereo)
     else:
         if options.clip is not None:
-            seen = posed(options.clip, options.slice or slice(options.frames), names, options.max_lines)
+            part_of = options.slice or slice(options.frames)
+            seen = posed(options.clip, part_of, names, options.max_lines, stereo=options.stereo)
         else:
             clip = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=options.frames or 200)
-            seen = rendered(clip, [*names, *([TRUE_LINES] if options.baselines else [])], options.max_lines)
+            names += [TRUE_LINES] if options.baselines else []
+            seen = rendered(clip, names, options.max_lines, stereo=options.stereo)
         results = {n: run(seen, n, options.points, options.save if n == OURS else None) for n in seen.tracks}
     write_json(options.json, results)
 except AirLineError as error:

@@ -11,11 +11,12 @@ import numpy as np
 
 from airline import LineSet
 from airline.evaluation.benchmark import lsd
-from airline.scenes import RenderedClip, RenderedView, render_clip
+from airline.scenes import RenderedClip, RenderedView, render_clip, render_pairs
 from airline.scenes.clip import build_scene
 from frontend import Frame, LineFrontend, LineTracks
 from frontend.evaluation.baselines import NearestTracker
 from frontend.evaluation.posed import PosedClip
+from frontend.sources import open_stereo
 from frontend.sources.scene import frame_of
 from frontend.tracker import LineTracker
 from frontend.tracking.config import TrackerConfig
@@ -87,13 +88,13 @@ class Frontends:
 
 
 def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.ndarray, error: float) -> LineTracks:
-    """Lines of others, in px, with the frame and the points of ours; of a line in pieces the longest one."""
+    """Lines of others, of one camera, with the frame and the points of ours; of a line in pieces the longest one."""
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     order = np.lexsort((-lengths, ids))
     order = order[np.unique(ids[order], return_index=True)[1]]
-    seen = [one for one in FIELDS if one.rows == "seen"]
-    shapes = {one.name: [0 if size < 0 else size for size in one.shape] for one in seen}
-    arrays: dict[str, Any] = {one.name: np.zeros((len(order), *shapes[one.name]), one.dtype) for one in seen}
+    rows = {"seen": len(order), "right": 0}
+    seen = [(one, [rows[one.rows], *(max(size, 0) for size in one.shape)]) for one in FIELDS if one.rows in rows]
+    arrays: dict[str, Any] = {one.name: np.zeros(shape, one.dtype) for one, shape in seen}
     arrays |= {"ids": ids[order].astype(np.int64), "hits": hits[order].astype(np.int32)}
     arrays |= {"segments_px": segments[order], "observed_px": segments[order], "fragment_of": np.full(len(order), -1)}
     arrays["states"][hits[order] >= 3] = TrackState.CONFIRMED
@@ -103,12 +104,13 @@ def tracked(ours: LineTracks, ids: np.ndarray, segments: np.ndarray, hits: np.nd
     return replace(ours, **arrays, earlier=())
 
 
-def rendered(clip: RenderedClip, names: list[str], max_lines: int = 0) -> Seen:
-    """A rendered clip, with its true lines."""
+def rendered(clip: RenderedClip, names: list[str], max_lines: int = 0, *, stereo: bool = False) -> Seen:
+    """A rendered clip of one camera or of a pair, with its true lines."""
     frontends = Frontends(names, max_lines)
     poses, depths, pieces = [], [], []
-    for index, view in enumerate(render_clip(clip)):
-        frontends.look(frame_of(index, view), view)
+    views = render_pairs(clip) if stereo else ((view,) for view in render_clip(clip))
+    for index, (view, *right) in enumerate(views):
+        frontends.look(frame_of(index, view, *right), view)
         poses.append(view.pose[:3])
         depths.append(np.median(view.depth))
         pieces.append((view.ids, view.segments_world))
@@ -118,11 +120,14 @@ def rendered(clip: RenderedClip, names: list[str], max_lines: int = 0) -> Seen:
     return Seen(clip.K[0, 0], "RFU", np.array(poses), frontends.tracks, lines)
 
 
-def posed(folder: Path, part: slice, names: list[str], max_lines: int = 0) -> Seen:
-    """Some frames of a folder with images, calibration and poses, as KITTI's are handed around; InputError."""
+def posed(folder: Path, part: slice, names: list[str], max_lines: int = 0, *, stereo: bool = False) -> Seen:
+    """Some frames of a folder with images, calibration and poses, as KITTI's are handed around; InputError.
+
+    The right camera's images of a pair are in `images_right/`.
+    """
     clip, frontends = PosedClip(folder), Frontends(names, max_lines)
-    for index, frame in enumerate(list(clip)[part]):
-        frontends.look(Frame(index, index * PERIOD_NS, frame.image, frame.camera))
+    for index, frame in enumerate(list(open_stereo(folder) if stereo else clip)[part]):
+        frontends.look(replace(frame, index=index, stamp_ns=index * PERIOD_NS))
     return Seen(clip.K[0, 0], "RDF", clip.poses[part], frontends.tracks)
 
 

@@ -26,6 +26,7 @@ HELD, FREE = 0.05, 10.0  # standard deviations along the line, on the plane z = 
 NEAR = 0.1  # depth of a point that counts, in distances from the newest camera
 HUBER = 1.345  # standard deviations from which on an error counts linearly
 _PLANE = gtsam.Cal3_S2(1, 1, 0, 0, 0)  # observations are on the plane z = 1
+_LEFT = gtsam.Pose3()
 _LOSS = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
 
 
@@ -36,7 +37,7 @@ class Marks:
     Attributes:
         ids: (Q,) of the points.
         places: (Q, 3) where they are about.
-        row, view: (M,) of each observation: its point, and the number of its keyframe, ascending for each point.
+        row, view: (M,) of each observation: its point, and the number of its view, ascending for each point.
         measured: (M, 2) on the plane z = 1.
         information, held: (M, 2, 2) square roots of the information, the latter of the view that holds the point.
     """
@@ -76,12 +77,17 @@ def point_marks(seen: Observations[Points], places: Array) -> Marks:
     return Marks(-1 - seen.ids, places, seen.row, seen.view, seen.seen.places, information, information)
 
 
-def factor(measured: Array, information: Array, pose_key: int, point_key: int) -> gtsam.NonlinearFactor:
-    """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`."""
+def factor(
+    measured: Array, information: Array, pose_key: int, point_key: int, camera: gtsam.Pose3 = _LEFT
+) -> gtsam.NonlinearFactor:
+    """The factor between a Pose3 (world_from_camera) and a Point3, for one observation of `Marks`.
+
+    The camera that observed is at `camera` in the axes of the one whose pose it is: the right one of a pair.
+    """
     # not its smart way, which takes a diagonal for sigmas and refuses a minus there
     gaussian = gtsam.noiseModel.Gaussian.SqrtInformation(information, False)
     noise = gtsam.noiseModel.Robust.Create(_LOSS, gaussian)
-    return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False)
+    return gtsam.GenericProjectionFactorCal3_S2(measured, noise, pose_key, point_key, _PLANE, False, False, camera)
 
 
 def _across(points: Array, seen: Lines, poses: Array) -> tuple[Array, Array, Array, Array]:

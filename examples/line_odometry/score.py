@@ -18,14 +18,14 @@ CHUNK = 256  # samples that are compared at once
 
 @dataclass(frozen=True)
 class Aligned:
-    """A path laid over the true one by the best Sim(3) (Umeyama 1991), and how far it is from it.
+    """A path laid over the true one by the best similarity, or motion (Umeyama 1991), and how far it is from it.
 
     Attributes:
         poses: (N, 3, 4) world_from_camera.
-        turn, shift, scale: of that similarity: X_world = scale * turn @ X + shift.
+        turn, shift, scale: of that (1 of a motion): X_world = scale * turn @ X + shift.
         ate_percent: absolute trajectory error, rms, as share of the path's length.
         rotation_deg: rms angle between both cameras when they start alike; a straight path does not fix the turn about
-            itself, so it is not the Sim(3) that turns them here.
+            itself, so it is not that which turns them here.
     """
 
     poses: Array
@@ -36,11 +36,11 @@ class Aligned:
     rotation_deg: float
 
 
-def align(poses: Array, true: Array) -> Aligned:
-    """Compare a path (N, 3, 4) with the true one."""
+def align(poses: Array, true: Array, *, metres: bool = False) -> Aligned:
+    """Compare a path (N, 3, 4) with the true one, whose scale it has, or must be given."""
     path, reference = _path(poses), _path(true)
     moved, begun = copy.deepcopy(path), copy.deepcopy(path)
-    turn, shift, scale = moved.align(reference, correct_scale=True)
+    turn, shift, scale = moved.align(reference, correct_scale=not metres)
     begun.align_origin(reference)
     errors = []
     for estimate, relation in ((moved, PoseRelation.translation_part), (begun, PoseRelation.rotation_angle_deg)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -44,7 +44,7 @@ class Points:
 
 @dataclass(frozen=True)
 class View:
-    """What one frame saw."""
+    """What one camera saw of a frame."""
 
     lines: Lines
     points: Points
@@ -65,6 +65,29 @@ class View:
         known = np.isfinite(seen.ends).all(axis=(1, 2)) & np.isfinite(seen.variances).all(axis=1)
         there = np.isfinite(points).all(axis=1)
         return View(take(seen, known), take(Points(tracks.point_ids, np.float64(points)), there))
+
+    @staticmethod
+    def pair_of(tracks: LineTracks) -> tuple[View, View]:
+        """What both cameras of a rectified pair saw, each on its own plane z = 1; no points on the right."""
+        there = tracks.take(np.flatnonzero(tracks.right_hits))
+        infinity = 0.0 if there.camera is None else there.camera.disparity_offset
+        right = replace(
+            there,
+            observed_px=there.right_px + np.array((infinity, 0), np.float32),
+            observed_covariances=there.right_covariances,
+            point_ids=there.point_ids[:0],
+            points_px=there.points_px[:0],
+        )
+        return View.of(tracks), View.of(right)
+
+
+def both_cameras(poses: Array, baseline_m: float) -> Array:
+    """(2 K, 3, 4) the poses of left, right, left, ... cameras from the left ones' (K, 3, 4); these where it is 0."""
+    if not baseline_m:
+        return poses
+    right = poses.copy()
+    right[:, :, 3] += baseline_m * poses[:, :, 0]
+    return np.stack([poses, right], axis=1).reshape(-1, 3, 4)
 
 
 Seen = TypeVar("Seen", Lines, Points)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from airline.scenes import RenderedClip, render_clip
-from frontend import LineTracks
+from frontend import CameraModel, LineTracks
 from frontend.sources.scene import frame_of
 from line_odometry.clips import LSD, OURS, TRUE_LINES, Frontends, rendered
 from line_odometry.images import line_errors
@@ -24,10 +24,10 @@ from line_odometry.residual import factor, line_marks
 from line_odometry.score import TrueLines, align, mapped
 from line_odometry.smoother import Smoother
 from line_odometry.triangulation import _slopes, map_lines, triangulate, triangulate_points
-from line_odometry.views import Lines, Points, View, gather, take
+from line_odometry.views import Lines, Points, View, both_cameras, gather, take
 from tests.helpers.command import ROOT
 from tests.helpers.data_sets import write_posed
-from tests.helpers.made_tracks import made_tracks
+from tests.helpers.made_tracks import blank_tracks, made_tracks
 from tests.project.test_examples import example, said
 
 FOCAL = 500.0
@@ -108,25 +108,36 @@ def test_derivatives_are_those_of_the_errors(seed):
 @SOME
 @given(seed=st.integers(0, 10_000))
 def test_factors_say_how_far_a_point_is_from_the_observed_line(seed):
-    """Their errors are the distance across in standard deviations; their Jacobians are those of numbers."""
-    segments, poses, seen = made_world(seed, lines=5, views=2)
-    both = gather([seen[0], seen[1]], 2)
-    marks = line_marks(both, segments, poses)
+    """Their errors are the distance across in standard deviations, from the right camera as from the left one."""
+    segments, poses, _ = made_world(seed, lines=5, views=2)
+    cameras = both_cameras(poses, 0.3)
+    seen = [seen_as(np.arange(5), project(segments, camera)) for camera in cameras]
+    marks = line_marks(gather(seen, 4), segments, cameras)
     for k in range(len(marks.row)):
         place = marks.places[marks.row[k]] + (0.02, -0.03, 0.01)
-        pose = gtsam.Pose3(np.vstack([poses[marks.view[k]], (0, 0, 0, 1)]))
-        one = factor(marks.measured[k], marks.information[k], 0, 1)
+        frame, right = divmod(marks.view[k], 2)
+        pose = gtsam.Pose3(np.vstack([poses[frame], (0, 0, 0, 1)]))
+        one = factor(marks.measured[k], marks.information[k], 0, 1, gtsam.Pose3(gtsam.Rot3(), (0.3 * right, 0, 0)))
         values = gtsam.Values()
         values.insert(0, pose)
         values.insert(1, place)
         line = seen[marks.view[k]]
         at = marks.ids[marks.row[k]] // 2
-        image, ends = project(place, poses[marks.view[k]]), line.ends[at]
+        image, ends = project(place, cameras[marks.view[k]]), line.ends[at]
         beside = np.linalg.norm(marks.measured[k] - ends.mean(axis=0))
         sigma = np.sqrt(line.variances[at, 0] + beside**2 * line.variances[at, 1])
         off = line.lines[at] @ (*image, 1.0) / sigma
         size = abs(off)
-        assert one.error(values) == pytest.approx(0.5 * off**2 if size < 1.345 else 1.345 * (size - 0.6725), rel=0.01)
+        assert one.error(values) == pytest.approx(0.5 * off**2 if size < 1.345 else 1.345 * (size - 0.6725), 0.01, 1e-5)
+
+        def by_pose_and_place(change, one=one, pose=pose, place=place):
+            moved = gtsam.Values()
+            moved.insert(0, pose.retract(change[:6]))
+            moved.insert(1, place + change[6:])
+            return one.error(moved)
+
+        jacobian, left = one.linearize(values).jacobian()
+        np.testing.assert_allclose(-left @ jacobian, numeric(by_pose_and_place, 9), atol=1e-3 * np.abs(jacobian).max())
 
 
 @SOME
@@ -246,6 +257,62 @@ def test_another_map_begins_where_nothing_is_known_any_more():
     assert align(second, poses[odometry.begun[1] :]).ate_percent < 0.5  # by itself: its scale is another
 
 
+PAIR = CameraModel(640, 480, FOCAL, FOCAL, 320, 240, baseline_m=0.12, disparity_offset=3.0)
+
+
+def made_pairs(frames: int, noise_px: float = 0.0) -> tuple[list[LineTracks], np.ndarray, np.ndarray]:
+    """What a pair of cameras sees of segments (N, 2, 3) from the poses (K, 3, 4)."""
+    segments, poses, _ = made_world(7, lines=120, views=frames)
+    rng, shift = np.random.default_rng(7), np.array([[PAIR.cx, PAIR.cy], [PAIR.cx - PAIR.disparity_offset, PAIR.cy]])
+    tracks = []
+    for index, cameras in enumerate(both_cameras(poses, PAIR.baseline_m).reshape(frames, 2, 3, 4)):
+        ends = FOCAL * np.stack([project(segments, camera) for camera in cameras]) + shift[:, None, None]
+        left, right = np.float32(ends + rng.normal(0, noise_px, ends.shape))
+        sizes = np.linalg.norm(left[:, 1] - left[:, 0], axis=1)
+        errors = np.zeros((len(left), 2, 2), np.float32)
+        errors[:, 0, 0], errors[:, 1, 1] = 0.2**2 / 2, 2 * (0.2 / sizes) ** 2
+        ours = {"segments_px": left, "observed_px": left, "observed_covariances": errors, "covariances": errors}
+        partners = {"right_px": right, "right_covariances": errors, "right_measured": np.zeros(len(left), np.bool_)}
+        partners["right_hits"] = np.full(len(left), index + 1, np.int32)
+        tracks.append(blank_tracks(len(left), frame_index=index, camera=PAIR, **ours, **partners))
+    return tracks, poses, segments
+
+
+def test_a_pair_is_two_views_whose_lines_are_in_metres():
+    (tracks,), poses, segments = made_pairs(1)
+    tracks.right_hits[:10], tracks.right_px[:10] = 0, np.nan
+    left, right = View.pair_of(tracks)
+    assert (len(left.lines.ids), right.lines.ids.tolist()) == (120, list(range(10, 120)))
+    found = triangulate(gather([left.lines, right.lines], 2), both_cameras(np.eye(3, 4)[None], PAIR.baseline_m))
+    known = found.spread < 0.03
+    assert known.sum() > 40
+    true = (segments - poses[0][:, 3]) @ poses[0][:, :3]
+    assert distance_to(found.ends, true[10:]).max(axis=1)[known].max() < 1e-3
+    along = np.abs(tracks.observed_px[10:, 1] - tracks.observed_px[10:, 0])
+    assert not known[along[:, 1] < 0.01 * along[:, 0]].any()  # along the rows: no depth
+
+
+def test_the_path_of_a_pair_begins_at_once_and_is_in_metres():
+    tracks, poses, _ = made_pairs(20, noise_px=0.2)
+    one_camera = [replace(one, camera=replace(PAIR, baseline_m=0.0)) for one in tracks]
+    assert run(one_camera[:1], FOCAL).trajectory().shape == (0, 3, 4)
+    odometry = run(tracks[:1], FOCAL)
+    np.testing.assert_allclose(odometry.trajectory(), np.eye(3, 4)[None], atol=1e-9)
+    odometry = run(tracks, FOCAL)
+    assert (odometry.first, odometry.begun, odometry.lost, odometry.failed) == (0, [0], [], [])
+    assert align(odometry.trajectory(), poses, metres=True).ate_percent < 0.3
+    assert align(odometry.trajectory(), poses * (1, 1, 1, 1.1), metres=True).ate_percent > 1
+
+    for k in range(10, 20):  # as behind a reset of the tracker
+        tracks[k] = replace(tracks[k], ids=tracks[k].ids + 1000)
+    tracks[4] = without_anything(tracks[4])
+    odometry = run(tracks, FOCAL)
+    assert (odometry.begun, odometry.lost) == ([0, 12], [4, 10, 11])
+    assert align(odometry.trajectory()[12:], poses[12:], metres=True).ate_percent < 0.5
+    waits = run([replace(one, right_px=np.full_like(one.right_px, np.nan)) for one in tracks[:3]], FOCAL)
+    assert "depth" in waits.waits
+
+
 def test_a_graph_that_cannot_be_solved_begins_anew(monkeypatch):
     tracks, poses, focal = tracks_of_truth(60)
     update, calls = Smoother.update, []
@@ -279,6 +346,15 @@ def test_our_lines_give_path_and_map():
     best, _ = mapped(map_lines(views[TRUE_LINES], seen.poses, seen.focal)[1], seen.lines)
     assert best > length > 40
     assert precision > 75
+
+
+def test_our_lines_of_a_rendered_pair_give_metres():
+    clip = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=12, size=(320, 240))
+    seen = rendered(clip, [OURS, TRUE_LINES], stereo=True)
+    odometry = run(seen.tracks[OURS], seen.focal)
+    assert (odometry.first, odometry.lost) == (0, [])
+    assert align(odometry.trajectory(), seen.poses, metres=True).ate_percent < 1
+    assert not run(seen.tracks[TRUE_LINES], seen.focal).baseline_m
 
 
 def test_a_camera_is_needed():
@@ -327,6 +403,7 @@ def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
     [
         (),
         ("--slice", "0:26"),
+        ("--slice", "0:26", "--stereo"),
         ("--slice", "50:24:-1"),
         ("--max-lines", "20", "--points"),
         ("--max-lines", "40", "--points"),
