@@ -20,7 +20,7 @@ from frontend.camera.model import CameraModel
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
 MAX_ERROR = 0.75  # px, standard deviation of a disparity that tells a depth,
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
-ALIKE = 0.75  # correlation of the errors of both views, as measured on rendered pairs
+ALIKE = 0.8  # correlation of the errors of both views, as measured on rendered pairs
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,42 +11,61 @@ from airline.errors import InputError
 from airline.image import to_uint8
 from airline.trace import Trace
 from frontend.frame import Frame
-from frontend.stereo.disparity import disparities as disparities_of
-from frontend.stereo.refine import refined
-from frontend.stereo.votes import partner_votes, rivals, supported
+from frontend.stereo.alignment import aligned
+from frontend.stereo.choice import APART, NEAREST, choose
+from frontend.stereo.votes import partner_votes
 from frontend.tracking.appearance import side_profiles
-from frontend.tracking.assignment import assign
 from frontend.tracking.guided import MAX_BAND, SHORTEST, measure
 from frontend.tracking.measurement import MEASURED, line_covariances, with_bias
 from frontend.tracking.overlap import LineFeatures, covered
+from frontend.tracking.prediction import camera_of
 from frontend.tracking.seen import runs_backwards
 from frontend.tracks import LineTracks
 
 WIDEST = 0.35  # of the image's width, of disparities
 BEYOND = 2.0  # px past infinity that errors may take a disparity
-MIN_VOTE = 0.1
-APART = 3.0  # px between disparities that are not one
-SURE, SURE_ENOUGH = 0.8, 0.9  # a rival's share of the vote, below which a partner speaks for others, and is believed
-NEAREST, REACH = 8, 0.05  # lines that speak for a disparity, and how much theirs may differ, as a share
 SLACK, CHANGE = 3.0, 0.15  # px, and share of a disparity, by which it may differ from the last frame's
-MIN_SUPPORT, MIN_APPEARANCE = 0.6, 0.5  # of a partner on the edge map, as of `TrackerConfig`
-MIN_GUESSED, YOUNG = 0.6, 1  # the same where a line's disparity is guessed, which it is in its first frames
+MIN_SUPPORT, MIN_APPEARANCE = 0.6, 0.5  # of a partner on the edge map, as of `TrackerConfig`;
+MIN_GUESSED, YOUNG = 0.6, 1  # the latter where the disparity is guessed, which it is up to this age
 LEAST = 10  # partners that tell which camera is the left one
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Partners:
+    """What is known of N tracks' partners; filled step by step.
+
+    Attributes:
+        segments: (N, 2, 2) float32 px, NaN where there is none, with `errors` (N, 2, 2) float32.
+        spans: (N, 2) px, least and most disparity along the line, in the last frame until it is known in this one; NaN
+            where it had none.
+        measured: (N,) not detected.
+    """
+
+    segments: NDArray[np.float32]
+    errors: NDArray[np.float32]
+    spans: Array
+    measured: NDArray[np.bool_]
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(N,) mask of those that have one."""
+        mask: NDArray[np.bool_] = ~np.isnan(self.segments[:, 0, 0])
+        return mask
 
 
 class PartnerFinder:
     """Finds the tracks' lines in the right images of a stream.
 
     As in time, a line is predicted (its last disparity), laid over the lines there, and paired one to one by votes; a
-    track without a last disparity is looked for along its rows, and what looks like several is decided by the lines
-    beside it, or left alone. Lines that were predicted and not detected are measured on the edge map.
+    track without a last disparity is looked for along its rows. Lines without a partner are measured on the edge map,
+    where they were, or in their first frames where the lines beside them are. Then all are aligned to fractions of a
+    pixel.
     """
 
     def __init__(self) -> None:
-        self._ids, self._hits = np.zeros(0, np.int64), np.zeros(0, np.int32)
-        self._last = np.zeros((0, 2))  # px, least and most disparity along each line when it last had a partner
+        self._ids, self._hits, self._spans = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
         self._sides_known = False
 
     def update(self, tracks: LineTracks, frame: Frame, right: Trace) -> LineTracks:
@@ -58,111 +77,109 @@ class PartnerFinder:
             right: the detector's results for that one.
 
         Raises:
-            InputError: the cameras are the wrong way round.
+            InputError: there is no right image of the same size, or the cameras are the wrong way round.
         """
-        assert frame.right_gray is not None
-        images = to_uint8(frame.gray), to_uint8(frame.right_gray)
-        infinity = 0.0 if tracks.camera is None else tracks.camera.disparity_offset
-        last, hits = self._remembered(tracks.ids)
-        ranges = self._ranges(last, infinity, images[0].shape[1])
+        if frame.right_gray is None or frame.right_gray.shape != frame.gray.shape:
+            raise InputError("partners are looked for in a right image of the left one's size: give Frame.right")
+        images, lines = (to_uint8(frame.gray), to_uint8(frame.right_gray)), right.lines
+        camera = camera_of(tracks.camera, images[0].shape[::-1])
+        gain, infinity = _gain(*images), camera.disparity_offset
+        hits, partners = self._remembered(tracks.ids)
         ours = LineFeatures(tracks.observed_px, tracks.descriptors, side_profiles(images[0], tracks.observed_px))
-        segments = right.lines.segments
-        theirs = LineFeatures(segments, right.lines.descriptors, side_profiles(images[1], segments))
-        gain = _gain(*images)
-        votes, disparities = partner_votes(images, (ours, theirs), ranges, gain)
-        chosen = _chosen(votes, disparities, ours.segments, ~np.isnan(last[:, 0]))
-        self._check_sides(disparities[np.arange(len(chosen)), chosen][chosen >= 0] - infinity)
-        found, errors = (
-            np.full((len(tracks), 2, 2), np.nan, np.float32),
-            np.full((len(tracks), 2, 2), np.nan, np.float32),
+        theirs = LineFeatures(lines.segments, lines.descriptors, side_profiles(images[1], lines.segments))
+
+        ranges = self._ranges(partners.spans, infinity, camera.width)
+        votes, spans = partner_votes(images, (ours, theirs), ranges, gain)
+        chosen = choose(votes, spans, ours.segments.mean(axis=1), ~np.isnan(partners.spans[:, 0]))
+        rows = np.flatnonzero(chosen >= 0)
+        self._check_sides(spans[rows, chosen[rows]].mean(axis=1) - infinity)
+        segments = lines.segments[chosen[rows]].copy()
+        back = runs_backwards(ours.segments[rows], segments)
+        segments[back] = segments[back, ::-1]
+        partners.segments[rows] = segments
+        partners.errors[rows] = line_covariances(
+            segments, None if lines.residuals is None else lines.residuals[chosen[rows]]
         )
-        hit = chosen >= 0
-        lines = right.lines.segments[chosen[hit]].copy()
-        back = runs_backwards(ours.segments[hit], lines)
-        lines[back] = lines[back, ::-1]
-        residuals = None if right.lines.residuals is None else right.lines.residuals[chosen[hit]]
-        found[hit], errors[hit] = lines, line_covariances(lines, residuals)
-        last[hit] = np.sort(disparities[hit, chosen[hit]], axis=1)
-        measured = self._measure(ours, last, tracks.ages <= YOUNG, found, errors, right, images[1])
-        hit |= measured
-        errors = with_bias(errors, np.zeros(len(errors), np.float32))
-        _refine(images, tracks, found, errors, gain, last)
-        hits = np.where(hit, hits + 1, 0).astype(np.int32)
-        self._ids, self._last, self._hits = tracks.ids, np.where(hit[:, None], last, np.nan), hits
-        return replace(tracks, right_px=found, right_covariances=errors, right_hits=hits, right_measured=measured)
+        partners.spans[rows] = np.sort(spans[rows, chosen[rows]], axis=1)
+        _measure(partners, ours, tracks.ages <= YOUNG, right.edges, images[1])
+        errors = with_bias(partners.errors, np.zeros(len(tracks), np.float32))
 
-    def _remembered(self, ids: NDArray[np.int64]) -> tuple[Array, NDArray[np.int32]]:
-        """(N, 2) last disparities, NaN where there are none, and (N,) hits of tracks."""
-        place = np.minimum(np.searchsorted(self._ids, ids), max(len(self._ids) - 1, 0))
-        known = self._ids[place] == ids if len(self._ids) else np.zeros(len(ids), np.bool_)
-        last, hits = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.int32)
-        last[known], hits[known] = self._last[place[known]], self._hits[place[known]]
-        return last, hits
+        segments, ends = aligned(
+            images, gain, (tracks.observed_px, tracks.observed_covariances), (partners.segments, errors), camera
+        )
+        spans = np.where(np.isnan(ends), partners.spans, np.sort(ends, axis=1))
+        hits = np.where(partners.found, hits + 1, 0).astype(np.int32)
+        self._ids, self._hits, self._spans = tracks.ids, hits, np.where(partners.found[:, None], spans, np.nan)
+        return replace(
+            tracks, right_px=segments, right_covariances=errors, right_hits=hits, right_measured=partners.measured
+        )
 
-    def _ranges(self, last: Array, infinity: float, width: int) -> Array:
+    def _remembered(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int32], _Partners]:
+        """(N,) hits of tracks, and their partners as far as they are predicted."""
+        count = len(ids)
+        segments, errors = np.full((2, count, 2, 2), np.nan, np.float32)
+        partners = _Partners(segments, errors, np.full((count, 2), np.nan), np.zeros(count, np.bool_))
+        hits = np.zeros(count, np.int32)
+        _, rows, places = np.intersect1d(ids, self._ids, assume_unique=True, return_indices=True)
+        hits[rows], partners.spans[rows] = self._hits[places], self._spans[places]
+        return hits, partners
+
+    def _ranges(self, spans: Array, infinity: float, width: int) -> Array:
         """(N, 2) px, least and most disparity of each track."""
-        slack = SLACK + CHANGE * np.abs(last - infinity)
+        slack = SLACK + CHANGE * np.abs(spans - infinity)
         most = WIDEST * width
         least = BEYOND if self._sides_known else most
-        return np.where(np.isnan(last), (infinity - least, infinity + most), last + slack * (-1, 1))
+        return np.where(np.isnan(spans), (infinity - least, infinity + most), spans + slack * (-1, 1))
 
     def _check_sides(self, disparities: NDArray[np.float32]) -> None:
-        if self._sides_known or len(disparities) < LEAST:
+        """Refuse cameras that are the wrong way round, by the first (N,) disparities from infinity that tell, px."""
+        if self._sides_known:
             return
-        middle = disparities.mean(axis=1)
-        if (middle < -BEYOND).sum() > max(LEAST, (middle > BEYOND).sum()):
+        left, right = (disparities < -BEYOND).sum(), (disparities > BEYOND).sum()
+        if left > max(LEAST, right):
             raise InputError(
                 "the cameras are the wrong way round, what the right one sees lies to the right: swap left and right"
             )
-        self._sides_known = (middle > BEYOND).sum() > LEAST
+        self._sides_known = right > LEAST
 
-    def _measure(
-        self,
-        ours: LineFeatures,
-        last: Array,
-        young: NDArray[np.bool_],
-        found: NDArray[np.float32],
-        errors: NDArray[np.float32],
-        right: Trace,
-        gray: NDArray[np.uint8],
-    ) -> NDArray[np.bool_]:
-        """Look for lines without a partner on the edge map, where they were or where those beside them are.
 
-        Returns the (N,) mask of those found.
-        """
-        rows, guesses = _guesses(ours.segments, last, young, ~np.isnan(found[:, 0, 0]))
-        predicted = ours.segments[rows].copy()
-        predicted[..., 0] -= guesses[:, None]
-        bands = np.full(len(rows), MAX_BAND, np.float32)
-        segments, residuals, support, _ = measure(right.edges, predicted, bands)
-        length = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
-        alike = (side_profiles(gray, segments) * ours.profiles[rows]).sum(axis=1)
-        good = (support >= MIN_SUPPORT) & (length >= SHORTEST)
-        good &= alike >= np.where(np.isnan(last[rows, 0]), MIN_GUESSED, MIN_APPEARANCE)
-        good[good] = ~covered(segments[good], found[~np.isnan(found[:, 0, 0])])
-        best = np.flatnonzero(good)
-        best = best[np.lexsort((-alike[best], rows[best]))]
-        best = best[np.unique(rows[best], return_index=True)[1]]
-        found[rows[best]], errors[rows[best]] = segments[best], line_covariances(segments, residuals, MEASURED)[best]
-        guessed = np.isnan(last[rows[best], 0])
-        last[rows[best][guessed]] = guesses[best][guessed, None]
-        measured = np.zeros(len(found), np.bool_)
-        measured[rows[best]] = True
-        return measured
+def _measure(
+    partners: _Partners,
+    ours: LineFeatures,
+    young: NDArray[np.bool_],
+    edges: NDArray[np.float32],
+    gray: NDArray[np.uint8],
+) -> None:
+    """Look for lines without a partner on the edge map, see `frontend.tracking.guided`."""
+    rows, guesses = _guesses(partners, ours.segments.mean(axis=1), young)
+    predicted = ours.segments[rows].copy()
+    predicted[..., 0] -= guesses[:, None]
+    segments, residuals, support, _ = measure(edges, predicted, np.full(len(rows), MAX_BAND, np.float32))
+    alike = (side_profiles(gray, segments) * ours.profiles[rows]).sum(axis=1)
+    good = (support >= MIN_SUPPORT) & (np.hypot(*(segments[:, 1] - segments[:, 0]).T) >= SHORTEST)
+    good &= alike >= np.where(np.isnan(partners.spans[rows, 0]), MIN_GUESSED, MIN_APPEARANCE)
+    good[good] = ~covered(segments[good], partners.segments[partners.found])
+    best = np.flatnonzero(good)
+    best = best[np.lexsort((-alike[best], rows[best]))]
+    best = best[np.unique(rows[best], return_index=True)[1]]
+    rows, guesses = rows[best], guesses[best]
+    partners.segments[rows] = segments[best]
+    partners.errors[rows] = line_covariances(segments[best], residuals[best], MEASURED)
+    partners.spans[rows] = np.where(np.isnan(partners.spans[rows]), guesses[:, None], partners.spans[rows])
+    partners.measured[rows] = True
 
 
 def _guesses(
-    segments: NDArray[np.float32], last: Array, young: NDArray[np.bool_], paired: NDArray[np.bool_]
+    partners: _Partners, middles: NDArray[np.float32], young: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Rows of lines without a partner, each several times, and disparities that they may have, px."""
-    known = np.flatnonzero(~paired & ~np.isnan(last[:, 0]))
-    new, others = np.flatnonzero(~paired & np.isnan(last[:, 0]) & young), np.flatnonzero(paired)
-    middles = segments.mean(axis=1)
-    away = np.linalg.norm(middles[new, None] - middles[others], axis=2)
-    near = np.sort(last[others].mean(axis=1)[np.argsort(away, axis=1)[:, :NEAREST]], axis=1)
-    other = np.diff(near, axis=1, prepend=-np.inf) > APART
-    rows, guesses = np.repeat(new, other.sum(axis=1)), near[other]
-    return np.concatenate([known, rows]), np.concatenate([last[known].mean(axis=1), guesses]).astype(np.float32)
+    """Rows of lines without a partner, some of them several times, and disparities that they may have, px."""
+    found, middle = partners.found, partners.spans.mean(axis=1)
+    missed, new = np.flatnonzero(~found & ~np.isnan(middle)), np.flatnonzero(~found & np.isnan(middle) & young)
+    away = np.linalg.norm(middles[new, None] - middles[found], axis=2)
+    near = np.sort(middle[found][np.argsort(away, axis=1, kind="stable")[:, :NEAREST]], axis=1)
+    another = np.diff(near, axis=1, prepend=-np.inf) > APART
+    rows = np.concatenate([missed, np.repeat(new, another.sum(axis=1))])
+    return rows, np.concatenate([middle[missed], near[another]]).astype(np.float32)
 
 
 def _gain(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[float, float]:
@@ -170,45 +187,3 @@ def _gain(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[float, flo
     ours, theirs = left[::8, ::8], right[::8, ::8]
     gain = float(np.clip((ours.std() + 1) / (theirs.std() + 1), 0.5, 2))
     return gain, float(ours.mean() - gain * theirs.mean())
-
-
-def _chosen(
-    votes: NDArray[np.float32],
-    disparities: NDArray[np.float32],
-    segments: NDArray[np.float32],
-    known: NDArray[np.bool_],
-) -> NDArray[np.int32]:
-    """(N,) the partner of each line, or -1.
-
-    Args:
-        votes, disparities: of `partner_votes`.
-        segments: (N, 2, 2) the left lines.
-        known: (N,) mask of those that had a partner in the last frame, which are not in doubt.
-    """
-    chosen, middles = assign(votes, MIN_VOTE), segments.mean(axis=1)
-    sure = np.flatnonzero((chosen >= 0) & (known | (rivals(votes, disparities, chosen, APART) < SURE)))
-    theirs = disparities[sure, chosen[sure]].mean(axis=1)
-    raised = supported(votes, disparities, middles, theirs, middles[sure], NEAREST, REACH)
-    chosen = assign(raised, MIN_VOTE)
-    doubt = ~known & (rivals(raised, disparities, chosen, APART) >= SURE_ENOUGH)
-    return np.where(doubt, -1, chosen).astype(np.int32)
-
-
-def _refine(
-    images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
-    tracks: LineTracks,
-    found: NDArray[np.float32],
-    errors: NDArray[np.float32],
-    gain: tuple[float, float],
-    last: Array,
-) -> None:
-    """Move partners along their rows to where the images agree; lines along the rows stay."""
-    lines = tracks.observed_px, tracks.observed_covariances, found, errors
-    disparity, covariances, _ = disparities_of(*lines, 0.0)
-    rows = np.flatnonzero(np.isfinite(disparity).all(axis=1))
-    ends, theirs = tracks.observed_px[rows], found[rows]
-    better = refined(images, ends, disparity[rows].astype(np.float64), covariances[rows].astype(np.float64), gain)
-    shift = disparity[rows] - better  # to the right, at the rows of the left ends
-    along = (theirs[..., 1] - ends[:, :1, 1]) / (ends[:, 1:, 1] - ends[:, :1, 1])
-    found[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
-    last[rows] = np.sort(better, axis=1)

@@ -2,7 +2,7 @@
 
 Lucas and Kanade's method (1981) along the rows, in two unknowns per line, the disparities of its ends: Gauss and
 Newton's steps on the grey levels around the line, with Tukey's weights for what is hidden or moves on its own, and with
-the two detected lines as a prior.
+the two detected lines as a prior; depths change little along short lines.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
+from frontend.camera.model import CameraModel
+from frontend.stereo.disparity import disparities
 from frontend.stereo.votes import level
 
 ACROSS = np.arange(-4.0, 5.0)  # px from the line
@@ -18,39 +20,52 @@ SPACING, LEAST, MOST = 4.0, 6, 24  # px between stations along the line, and how
 STEPS = 3
 REACH = 30.0  # grey levels: what differs by more shows something else
 NOISE = 8.0  # grey levels, standard deviation of what does not, for a sample; neighbours err alike
+SLOPE, LEAST_BEND = 1.0, 0.05  # of inverse depth along a line as long as the focal length, in its own unit; and px
 FARTHEST = 2.0  # px that a disparity may change
 
+Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 
-def refined(
+def aligned(
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
-    segments: NDArray[np.float32],
-    disparities: Array,
-    covariances: Array,
     gain: tuple[float, float],
-) -> Array:
-    """Disparities of lines' ends that fit the images and what was known before.
+    left: tuple[Float32, Float32],
+    right: tuple[Float32, Float32],
+    camera: CameraModel,
+) -> tuple[Float32, Array]:
+    """Right lines, moved along their rows to where the images agree with them and with each other.
 
     Args:
         images: (H, W) left and right one.
-        segments: (N, 2, 2) px, left lines.
-        disparities: (N, 2) px, of their ends, with `covariances` (N, 2, 2), px^2.
         gain: by which right grey levels become left ones, and what is added.
+        left, right: (N, 2, 2) lines, px, and their (N, 2, 2) covariances; NaN where there is no right line.
+        camera: of the pair, or a guess of one.
 
     Returns:
-        (N, 2) px; as they were where the images do not agree.
+        (N, 2, 2) float32 px, and (N, 2) px disparities of the left ends; lines along the rows are not moved, and have
+        none.
     """
-    found = disparities.copy()
-    information = np.linalg.inv(covariances)
-    _refine(*images, np.float64(segments), found, information, *gain)
-    far = np.abs(found - disparities).max(axis=1) > FARTHEST
-    found[far] = disparities[far]
-    return found
+    (segments, _), (others, _) = left, right
+    before, covariances, _ = disparities(*left, *right, camera.disparity_offset)
+    rows = np.flatnonzero(np.isfinite(before).all(axis=1))
+    ends, theirs, known = segments[rows].astype(np.float64), others[rows], before[rows].astype(np.float64)
+    length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    bend = SLOPE * np.abs(known.mean(axis=1) - camera.disparity_offset) * length / camera.fx + LEAST_BEND
+    found = known.copy()
+    _align(*images, ends, found, np.linalg.inv(covariances[rows].astype(np.float64)), 1 / bend**2, *gain)
+    far = np.abs(found - known).max(axis=1) > FARTHEST
+    found[far] = known[far]
+    shift, tall = known - found, ends[:, 1:, 1] - ends[:, :1, 1]
+    along = (theirs[..., 1] - ends[:, :1, 1]) / tall
+    moved, ends_disparity = others.copy(), np.full(before.shape, np.nan)
+    moved[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
+    ends_disparity[rows] = found
+    return moved, ends_disparity
 
 
 @njit()
-def _refine(image, other, segments, found, information, gain, lift):  # type: ignore[no-untyped-def]
+def _align(image, other, segments, found, information, bends, gain, lift):  # type: ignore[no-untyped-def]
     most = MOST * len(ACROSS)
     x, y, s, here, slope = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for i in range(len(segments)):
@@ -71,8 +86,10 @@ def _refine(image, other, segments, found, information, gain, lift):  # type: ig
         weight_of_sample = 1 / NOISE**2
         for _ in range(STEPS):
             h00, h01, h11 = information[i, 0, 0], information[i, 0, 1], information[i, 1, 1]
-            g0 = h00 * (first - found[i, 0]) + h01 * (last - found[i, 1])
-            g1 = h01 * (first - found[i, 0]) + h11 * (last - found[i, 1])
+            bend = bends[i]
+            g0 = h00 * (first - found[i, 0]) + h01 * (last - found[i, 1]) + bend * (first - last)
+            g1 = h01 * (first - found[i, 0]) + h11 * (last - found[i, 1]) - bend * (first - last)
+            h00, h01, h11 = h00 + bend, h01 - bend, h11 + bend
             for k in range(count):
                 at = x[k] - first - s[k] * (last - first)
                 before, after = level(other, at - 0.5, y[k]), level(other, at + 0.5, y[k])
