@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from frontend.camera.model import CameraModel
 
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
-MAX_ERROR = 0.75  # px, standard deviation of a disparity that tells a depth,
+MAX_ERROR = 1.0  # px, standard deviation of a disparity that tells a depth,
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
 ALIKE = 0.8  # correlation of the errors of both views, as measured on rendered pairs
 
@@ -38,7 +38,7 @@ def disparities(
 
     Returns:
         (N, 2) float32 px, NaN for lines along the rows; their (N, 2, 2) float32 covariances, px^2; and the (N,) mask
-        of those that are known within 0.75 px and beyond doubt (three standard deviations) from infinity, at both ends.
+        of those that are known within 1 px and beyond doubt (three standard deviations) from infinity, at both ends.
     """
     ours, theirs = _along_rows(left, left[..., 1]), _along_rows(right, left[..., 1])
     disparity = left[..., 0] - theirs[0] + 0 * ours[1]  # NaN where the left line runs along the rows
