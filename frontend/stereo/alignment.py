@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from airline.kernels.compiled import njit
 from frontend.camera.model import CameraModel
 from frontend.stereo.disparity import disparities
-from frontend.stereo.votes import level
 
 ACROSS = np.arange(-4.0, 5.0)  # px from the line
 SPACING, LEAST, MOST = 4.0, 6, 24  # px between stations along the line, and how many it has
-STEPS = 3
+STEPS = 2
 REACH = 30.0  # grey levels: what differs by more shows something else
 NOISE = 8.0  # grey levels, standard deviation of what does not, for a sample; neighbours err alike
 SLOPE, LEAST_BEND = 1.0, 0.05  # of inverse depth along a line as long as the focal length, in its own unit; and px
@@ -79,8 +78,7 @@ def _align(image, other, segments, found, information, bends, gain, lift):  # ty
                 s[count] = (k + 0.5) / stations
                 x[count] = x0 + s[count] * dx - ACROSS[c] * dy / length
                 y[count] = y0 + s[count] * dy + ACROSS[c] * dx / length
-                before, after = level(image, x[count] - 0.5, y[count]), level(image, x[count] + 0.5, y[count])
-                here[count], slope[count] = 0.5 * (before + after), after - before
+                here[count], slope[count] = _level_and_slope(image, x[count], y[count])
                 count += 1
         first, last = found[i]
         weight_of_sample = 1 / NOISE**2
@@ -92,12 +90,12 @@ def _align(image, other, segments, found, information, bends, gain, lift):  # ty
             h00, h01, h11 = h00 + bend, h01 - bend, h11 + bend
             for k in range(count):
                 at = x[k] - first - s[k] * (last - first)
-                before, after = level(other, at - 0.5, y[k]), level(other, at + 0.5, y[k])
-                error = lift + 0.5 * gain * (before + after) - here[k]
+                there, other_slope = _level_and_slope(other, at, y[k])
+                error = lift + gain * there - here[k]
                 if abs(error) >= REACH:
                     continue
                 weight = (1 - (error / REACH) ** 2) ** 2 * weight_of_sample
-                change = -0.5 * (gain * (after - before) + slope[k])  # of both, as in symmetric alignment
+                change = -0.5 * (gain * other_slope + slope[k])  # of both, as in symmetric alignment
                 h00 += weight * change * change * (1 - s[k]) ** 2
                 h01 += weight * change * change * s[k] * (1 - s[k])
                 h11 += weight * change * change * s[k] ** 2
@@ -107,3 +105,17 @@ def _align(image, other, segments, found, information, bends, gain, lift):  # ty
             first -= min(max((h11 * g0 - h01 * g1) / det, -1.0), 1.0)
             last -= min(max((h00 * g1 - h01 * g0) / det, -1.0), 1.0)
         found[i, 0], found[i, 1] = first, last
+
+
+@njit(inline="always")
+def _level_and_slope(image, x, y):  # type: ignore[no-untyped-def]
+    """Mean grey level of a pixel's width along the row around a place, and its change across that; as at the border."""
+    x, y = min(max(x - 0.5, 0.0), image.shape[1] - 2.001), min(max(y, 0.0), image.shape[0] - 1.001)
+    column, row, one, two = np.uint64(x), np.uint64(y), np.uint64(1), np.uint64(2)
+    fx, fy = x - np.float64(column), y - np.float64(row)
+    below = row + one
+    a = image[row, column] + fy * (np.float64(image[below, column]) - image[row, column])
+    b = image[row, column + one] + fy * (np.float64(image[below, column + one]) - image[row, column + one])
+    c = image[row, column + two] + fy * (np.float64(image[below, column + two]) - image[row, column + two])
+    before, after = a + fx * (b - a), b + fx * (c - b)
+    return 0.5 * (before + after), after - before

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
-from airline.stages.score_parts import bilinear
 from frontend.stereo.disparity import MIN_SINE
 from frontend.tracking.overlap import LineFeatures
 
@@ -16,7 +15,7 @@ MIN_APPEARANCE = 0.0  # and of their profiles
 MIN_OVERLAP = 0.5  # of the shorter one
 ROW_ERROR = 2.5  # px that a line along the rows may lie above or below its partner
 ACROSS = np.array([-9.0, -6.0, -3.5, -1.5, 1.5, 3.5, 6.0, 9.0])  # px from the line
-STATIONS = 10  # along it
+STATIONS = 6  # along it
 FLOOR = 6.0  # grey levels: less contrast than this says little
 ALIKE = 10.0  # grey levels of mean difference, that take away two thirds of a vote
 
@@ -195,4 +194,10 @@ def _alike(image, other, p, place, nx, ny, gain, lift, work):  # type: ignore[no
 @njit(inline="always")
 def level(image, x, y):  # type: ignore[no-untyped-def]
     """Grey level between pixels, outside of the image as at its border."""
-    return bilinear(image, min(max(x, 0.0), image.shape[1] - 1.0), min(max(y, 0.0), image.shape[0] - 1.0))
+    x, y = min(max(x, 0.0), image.shape[1] - 1.001), min(max(y, 0.0), image.shape[0] - 1.001)
+    column, row = np.uint64(x), np.uint64(y)
+    fx, fy = x - np.float64(column), y - np.float64(row)
+    one = np.uint64(1)
+    top = image[row, column] + fx * (np.float64(image[row, column + one]) - image[row, column])
+    low = image[row + one, column] + fx * (np.float64(image[row + one, column + one]) - image[row + one, column])
+    return top + fy * (low - top)
