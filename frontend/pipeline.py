@@ -3,6 +3,7 @@
     source ──> detect_edges ──> trace_edges ──> tracker.update ──> sinks
      Frame      edges, Gray        Trace           LineTracks      FrameResult
 
+The right image of a stereo pair goes the same way, and the tracker finds the partners of its tracks in it.
 `run_pipeline` goes that way for the command lines, `LineFrontend.stream` for programs that use the library. All four
 steps run at once, each on another frame.
 """

@@ -27,14 +27,30 @@ distortion_model: radtan
 distortion_coefficients: [-0.2, 0.05, 0.0, 0.0]
 """
 
+SENSOR = """resolution: [160, 120]
+intrinsics: [{f}, {f}, 79.5, 59.5]
+distortion_model: none
+T_BS: {{rows: 4, cols: 4, data: [1, 0, 0, {x}, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}}
+"""
+CHAIN = """cam0: {{resolution: [160, 120], intrinsics: [{f}, {f}, 79.5, 59.5], distortion_model: none}}
+cam1:
+  {{resolution: [160, 120], intrinsics: [{f}, {f}, 79.5, 59.5], distortion_model: none,
+   T_cn_cnm1: [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
+"""
+
 Images = list[np.ndarray]
 
 
 def prepare(folder: Path) -> None:
     """Fill a folder with everything that the pages name."""
-    images = [view.image for view in RenderedClip(motion="handheld", seed=12, frames=FRAMES, size=SIZE)]
+    clip = RenderedClip(motion="handheld", seed=12, frames=FRAMES, size=SIZE)
+    images = [view.image for view in clip]
+    right = [clip.render(k, right=True).image for k in range(FRAMES)]
     _write_folders(folder, images)
-    write_film(folder / "video.mp4", images, 1e9 / STEP_NS)
+    _write_euroc(folder / "EuRoC" / "MH_01_easy" / "mav0", {"cam0": images, "cam1": right}, clip.K[0, 0])
+    (folder / "camchain.yaml").write_text(CHAIN.format(f=clip.K[0, 0]))
+    for name, film in {"video": images, "left": images, "right": right}.items():
+        write_film(folder / f"{name}.mp4", film, 1e9 / STEP_NS)
     log = _write_log(folder / "log.mcap", images)
     _write_bag(folder / "drive.bag", images)
     (folder / "cut.mcap").write_bytes(log.read_bytes()[:-3000])
@@ -52,21 +68,27 @@ def prepare(folder: Path) -> None:
 
 
 def _write_folders(folder: Path, images: Images) -> None:
-    euroc = folder / "EuRoC" / "MH_01_easy" / "mav0" / "cam0"
-    for made in (folder / "images", folder / "photos", euroc / "data"):
+    for made in (folder / "images", folder / "photos"):
         made.mkdir(parents=True)
-    rows = ["#timestamp [ns],filename\n"]
     for k, image in enumerate(images):
         cv2.imwrite(str(folder / "images" / f"img{k}.png"), image)
-        stamp = EPOCH_NS + k * STEP_NS
-        cv2.imwrite(str(euroc / "data" / f"{stamp}.png"), image)
-        rows.append(f"{stamp},{stamp}.png\n")
-    (euroc / "data.csv").write_text("".join(rows))
     cv2.imwrite(str(folder / "photo.jpg"), images[0])
     for k in (0, 12):  # larger, as photographs that are moved must be
         cv2.imwrite(str(folder / "photos" / f"{k}.jpg"), cv2.resize(images[k], None, fx=2, fy=2))
     (folder / "drawn").mkdir()
     (folder / "drawn" / "0.txt").write_text("10 20 300 200\n")
+
+
+def _write_euroc(folder: Path, cameras: dict[str, Images], focal: float) -> None:
+    for (name, images), x in zip(cameras.items(), (0.0, 0.12), strict=True):
+        (folder / name / "data").mkdir(parents=True)
+        (folder / name / "sensor.yaml").write_text(SENSOR.format(f=focal, x=x))
+        rows = ["#timestamp [ns],filename\n"]
+        for k, image in enumerate(images):
+            stamp = EPOCH_NS + k * STEP_NS
+            cv2.imwrite(str(folder / name / "data" / f"{stamp}.png"), image)
+            rows.append(f"{stamp},{stamp}.png\n")
+        (folder / name / "data.csv").write_text("".join(rows))
 
 
 def _write_log(path: Path, images: Images) -> Path:
