@@ -25,7 +25,10 @@ ALIKE = 0.8  # correlation of the errors of both views, as measured on rendered 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
 
+_quiet = np.errstate(all="ignore")  # NaN and infinities are answers here
 
+
+@_quiet
 def disparities(
     left: Float32, left_covariances: Float32, right: Float32, right_covariances: Float32, offset: float
 ) -> tuple[Float32, Float32, NDArray[np.bool_]]:
@@ -45,12 +48,12 @@ def disparities(
     jacobian, errors = _jacobian(ours, theirs), _both(left_covariances, right_covariances)
     to_disparity = jacobian[:, :2] - jacobian[:, 2:]
     covariances = to_disparity @ errors @ to_disparity.transpose(0, 2, 1)
-    with np.errstate(invalid="ignore"):
-        spread = np.sqrt(np.maximum(np.einsum("nkk->nk", covariances), 0))
-        known = ((spread <= MAX_ERROR) & (disparity - offset > MIN_RATIO * spread)).all(axis=1)  # false for NaN
+    spread = np.sqrt(np.maximum(np.einsum("nkk->nk", covariances), 0))
+    known = ((spread <= MAX_ERROR) & (disparity - offset > MIN_RATIO * spread)).all(axis=1)  # false for NaN
     return disparity.astype(np.float32), covariances.astype(np.float32), known
 
 
+@_quiet
 def in_metres(
     left: Float32,
     left_covariances: Float32,
@@ -72,9 +75,8 @@ def in_metres(
     """
     ours, theirs = _along_rows(left, left[..., 1]), _along_rows(right, left[..., 1])
     rays = np.concatenate([np.float64(camera.normalize(left)), np.ones((len(left), 2, 1))], axis=2)
-    with np.errstate(all="ignore"):
-        shift = np.where(known[:, None], left[..., 0] - theirs[0] - camera.disparity_offset, np.nan)
-        depth = camera.fx * camera.baseline_m / shift
+    shift = np.where(known[:, None], left[..., 0] - theirs[0] - camera.disparity_offset, np.nan)
+    depth = camera.fx * camera.baseline_m / shift
     points = rays * depth[..., None]
     by_right = points / shift[..., None]  # of both ends, per px along the row
     by_left = np.array([1 / camera.fx, 0, 0]) * depth[..., None] - by_right
@@ -93,10 +95,9 @@ def _along_rows(lines: Float32, rows: NDArray[np.floating]) -> tuple[Array, Arra
     """
     lines = np.asarray(lines, np.float64)
     delta, middle = lines[:, 1] - lines[:, 0], lines.mean(axis=1)
-    with np.errstate(all="ignore"):
-        u = delta / np.hypot(delta[:, 0], delta[:, 1])[:, None]
-        slope = np.where(np.abs(u[:, 1]) >= MIN_SINE, u[:, 1], np.nan)
-        along = (np.float64(rows) - middle[:, 1:]) / slope[:, None]
+    u = delta / np.hypot(delta[:, 0], delta[:, 1])[:, None]
+    slope = np.where(np.abs(u[:, 1]) >= MIN_SINE, u[:, 1], np.nan)
+    along = (np.float64(rows) - middle[:, 1:]) / slope[:, None]
     return middle[:, :1] + along * u[:, :1], along, slope
 
 
