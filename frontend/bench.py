@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,15 +48,19 @@ RUNS = {  # sink, and whether in series
     "fps_rerun": ("rerun", False),
     "fps_mcap": ("mcap", False),
 }
+PAIRS = "fps_pairs"  # with --stereo, beside `fps` in all else
 ROWS = {
     "fps_serial": "frames/s in series",
     "fps": "frames/s",
     "fps_rerun_serial": "frames/s into Rerun, in series",
     "fps_rerun": "frames/s into Rerun",
     "fps_mcap": "frames/s into MCAP",
+    "fps_pairs": "pairs/s",
+    "pair_cost": "time of a pair over that of an image",
     "latency_ms": "latency, ms",
     "peak_mb": "peak MB over torch",
     "peak_mb_rerun": "peak MB over torch, with Rerun",
+    "peak_mb_pairs": "peak MB over torch, of pairs",
     "lines": "lines",
     "lsd_ms": "OpenCV LSD, ms",
 }
@@ -64,10 +68,14 @@ ROWS = {
 
 @dataclass(frozen=True)
 class ClipSource(Source):
-    """Decodes a short clip, JPEG files of one size, forth and back until there are `frame_count` frames."""
+    """Decodes a short clip, JPEG files of one size, forth and back until there are `frame_count` frames.
+
+    With files of a right camera frames are pairs.
+    """
 
     files: Sequence[bytes]
     frame_count: int
+    right: Sequence[bytes] = ()
     name: str = "bench"
 
     def __iter__(self) -> Iterator[Frame]:
@@ -75,8 +83,9 @@ class ClipSource(Source):
 
         period = max(2 * len(self.files) - 2, 1)
         for index in range(self.frame_count):
-            place = index % period
-            yield Frame(index, index * PERIOD_NS, decode_encoded(self.files[min(place, period - place)]))
+            place = min(index % period, period - index % period)
+            right = decode_encoded(self.right[place]) if self.right else None
+            yield Frame(index, index * PERIOD_NS, decode_encoded(self.files[place]), right=right)
 
 
 def build_parser() -> Parser:
@@ -91,6 +100,7 @@ def build_parser() -> Parser:
     add("--size", nargs="+", type=image_size, default=SIZES, metavar="WxH", help=shown)
     add("--preset", choices=PRESETS, default="default")
     add("--runtime", choices=RUNTIMES, default="auto")
+    add("--stereo", action="store_true", help="pairs too, of an input that has them (default: the built-in clip's)")
     add("--frames", type=number(int, 2), default=150, metavar="N", help="per run (default: %(default)s)")
     parser.add_json()
     return parser
@@ -112,19 +122,24 @@ def run(options: argparse.Namespace) -> None:
     from frontend.cli.settings import load
 
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as frontend.run does; the processes inherit it
-    config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": CLIP_FRAMES}})
+    chosen = {"max_frames": CLIP_FRAMES, "stereo": options.stereo}
+    config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": chosen})
     clips = load_clips(options.input, options.size, config)
     sizes: dict[str, Figures] = {}
-    with progress("runs", len(clips) * ROUNDS * len(RUNS), unit="runs") as advance:
-        for size, files in clips.items():
-            sizes[size] = measure(ClipSource(files, options.frames), config, advance)
+    with progress("runs", len(clips) * ROUNDS * (len(RUNS) + options.stereo), unit="runs") as advance:
+        for size, (files, right) in clips.items():
+            sizes[size] = measure(ClipSource(files, options.frames, right), config, advance)
     Console().print(table(sizes))
     about = {"preset": options.preset, "runtime": options.runtime, "frames": options.frames, "cores": os.cpu_count()}
     write_json(options.json, {**about, "sizes": sizes})
 
 
-def load_clips(spec: str | None, sizes: Sequence[tuple[int, int]], config: RunConfig) -> dict[str, list[bytes]]:
-    """JPEG files of the first frames of an input in every (width, height), px, by the name "WIDTHxHEIGHT".
+def load_clips(
+    spec: str | None, sizes: Sequence[tuple[int, int]], config: RunConfig
+) -> dict[str, tuple[list[bytes], list[bytes]]]:
+    """JPEG files of the first frames of an input, and of their right images, in every (width, height), px.
+
+    The keys are "WIDTHxHEIGHT".
 
     Raises:
         AirLineError: the input cannot be used.
@@ -134,35 +149,45 @@ def load_clips(spec: str | None, sizes: Sequence[tuple[int, int]], config: RunCo
     from airline.image import to_uint8
     from frontend.cli.wiring import open_input
 
-    clips: dict[str, list[bytes]] = {f"{width}x{height}": [] for width, height in sizes}
+    clips: dict[str, tuple[list[bytes], list[bytes]]] = {f"{width}x{height}": ([], []) for width, height in sizes}
     with closing(open_input(spec, config)) as source, progress(source.name, source.frame_count) as advance:
         for frame in source:
-            image = to_uint8(frame.image)
-            for width, height in sizes:
-                method = cv2.INTER_AREA if width <= image.shape[1] else cv2.INTER_CUBIC
-                resized = cv2.resize(image, (width, height), interpolation=method)
-                file = cv2.imencode(".jpg", resized, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-                clips[f"{width}x{height}"].append(file.tobytes())
+            images = [frame.image, *([] if frame.right is None else [frame.right])]
+            for side, image in enumerate(images):
+                for width, height in sizes:
+                    method = cv2.INTER_AREA if width <= image.shape[1] else cv2.INTER_CUBIC
+                    resized = cv2.resize(to_uint8(image), (width, height), interpolation=method)
+                    file = cv2.imencode(".jpg", resized, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+                    clips[f"{width}x{height}"][side].append(file.tobytes())
             advance()
-    if not all(clips.values()):
+    if not all(files for files, _ in clips.values()):
         raise InputError(f"{source.name} yields no frame: give another input")
     return clips
 
 
 def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) -> Figures:
     """All figures of one size: medians over rounds in which the runs take turns; of memory, the most."""
-    found: dict[str, list[Figures]] = {name: [] for name in RUNS}
+    runs = RUNS | ({PAIRS: ("none", False)} if clip.right else {})
+    found: dict[str, list[Figures]] = {name: [] for name in runs}
     lsd_ms: list[float] = []
     for _ in range(ROUNDS):
-        for name, (sink, serial) in RUNS.items():
+        for name, (sink, serial) in runs.items():
+            frames = clip if name == PAIRS else replace(clip, right=())
             spawn = multiprocessing.get_context("spawn")
             with ProcessPoolExecutor(1, mp_context=spawn) as pool:
-                found[name].append(pool.submit(one_run, clip, config, sink, serial).result())
+                found[name].append(pool.submit(one_run, frames, config, sink, serial).result())
             lsd_ms += time_lsd(clip)
             advance()
     plain, serial_ms = found["fps"], [run["stage_ms"] for run in found["fps_serial"]]
+    rates = {name: _median(run["fps"] for run in done) for name, done in found.items()}
+    pairs = found.get(PAIRS)
     return {
-        **{name: _median(run["fps"] for run in runs) for name, runs in found.items()},
+        **rates,
+        **(
+            {"pair_cost": rates["fps"] / rates[PAIRS], "peak_mb_pairs": max(r["peak_mb"] for r in pairs)}
+            if pairs
+            else {}
+        ),
         "peak_mb": max(run["peak_mb"] for run in plain),
         "peak_mb_rerun": max(run["peak_mb"] for run in found["fps_rerun"]),
         "latency_ms": _median(run["latency_ms"] for run in plain),
@@ -215,7 +240,9 @@ def table(sizes: dict[str, Figures]) -> Table:
 
     shown = Table("", *sizes)
     for key, title in ROWS.items():
-        shown.add_row(title, *(f"{figures[key]:.1f}" for figures in sizes.values()))
+        if all(key in figures for figures in sizes.values()):
+            digits = 2 if key == "pair_cost" else 1
+            shown.add_row(title, *(f"{figures[key]:.{digits}f}" for figures in sizes.values()))
     stages = [stage for figures in sizes.values() for stage in figures["stage_ms"]]
     for stage in dict.fromkeys(stages):
         shown.add_row(f"{stage}, ms in series", *(f"{figures['stage_ms'][stage]:.2f}" for figures in sizes.values()))

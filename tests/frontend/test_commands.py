@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import os
 import subprocess
 import sys
@@ -81,7 +82,8 @@ def test_the_clip_goes_forth_and_back(count: int, expected: list[int]) -> None:
 def test_every_size_shows_the_input(clip: Path) -> None:
     sizes = [(160, 120), (80, 60), (320, 200)]
     clips = load_clips(str(clip), sizes, RunConfig())
-    for size, files in clips.items():
+    for size, (files, right) in clips.items():
+        assert not right
         frames = list(ClipSource(files, 8))
         for number, frame in enumerate(frames):
             assert f"{frame.image.shape[1]}x{frame.image.shape[0]}" == size
@@ -92,7 +94,14 @@ def test_every_size_shows_the_input(clip: Path) -> None:
 def test_figures(clip, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "ROUNDS", 1)
     out = tmp_path / "bench.json"
-    assert main([str(clip), "--size", "160x120", "--frames", "10", "--preset", "fast", "--json", str(out)]) == 0
+    for name in ("image_0", "image_1"):
+        shutil.copytree(clip, tmp_path / name)
+    rows = (f"P{k}: 100 0 80 {-12 * k} 0 100 60 0 0 0 1 0" for k in range(4))
+    (tmp_path / "calib.txt").write_text("\n".join(rows))
+    assert (
+        main([str(tmp_path), "--stereo", "--size", "160x120", "--frames", "10", "--preset", "fast", "--json", str(out)])
+        == 0
+    )
     written = json.loads(out.read_text())
     assert (written["preset"], written["frames"], list(written["sizes"])) == ("fast", 10, ["160x120"])
     figures = written["sizes"]["160x120"]
@@ -100,6 +109,7 @@ def test_figures(clip, tmp_path, capsys, monkeypatch):
         assert figures[key] > 0
     assert {"edges", "track"} < figures["stage_ms"].keys()
     assert 5 < figures["peak_mb"] < 1000
+    assert figures["pair_cost"] == pytest.approx(figures["fps"] / figures["fps_pairs"])
     shown = capsys.readouterr().out
     assert "160x120" in shown
     assert f"{figures['fps']:.1f}" in shown
