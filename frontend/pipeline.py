@@ -74,7 +74,7 @@ def run_pipeline(
         frames = Peeked(source)
         if frames.first is None:
             raise InputError(f"{source.name} yields no frame: check the input and --start, --end, --stride")
-        frontend.warm_up(frames.first.image)
+        frontend.warm_up(frames.first.image, stereo=frames.first.right is not None)
 
         opened: list[Sink] = []
         opening = sinks(frames.first) if callable(sinks) else sinks
@@ -113,13 +113,14 @@ class LineFrontend:
         self.detector = detector or AirLine(threads=network_threads())
         self.tracker = tracker or LineTracker()
 
-    def warm_up(self, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    def warm_up(self, image: NDArray[np.uint8] | NDArray[np.uint16], *, stereo: bool = False) -> None:
         """Compile and load everything by a throw-away pass, so that the first frame takes no longer than the others.
 
         Args:
             image: an image like those to come; the tracker forgets nothing and learns nothing from it.
+            stereo: pairs are to come.
         """
-        warm_up(self.detector, self.tracker.config, image)
+        warm_up(self.detector, self.tracker.config, image, stereo=stereo)
 
     def stream(
         self, source: Source | str | PathLike[str], *, max_latency_s: float = MAX_LATENCY_S

@@ -22,6 +22,7 @@ from airline.kernels.threads import cores
 from airline.lines import LineSet
 from airline.stages.fit import TotalLeastSquaresFitter
 from airline.stages.refine import ImageRefiner
+from airline.trace import Trace
 from frontend.frame import Frame
 from frontend.tracker import LineTracker
 from frontend.tracking.camera_motion import LEAST_POINTS, Motion, camera_motion
@@ -51,18 +52,20 @@ def compile_ahead() -> bool:
     return is_cold
 
 
-def warm_up(detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    """A throw-away pass of such an image through a detector, which keeps what it loads, and a tracker."""
+def warm_up(
+    detector: AirLine, config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], *, stereo: bool = False
+) -> None:
+    """A throw-away pass of such an image, or pair, through a detector, which keeps what it loads, and a tracker."""
     global _helper
     compile_ahead()
     with _few_collections():
-        lines = detector(image)
+        trace = detector.trace(image)
         if _helper is not None and _helper.stdout is not None:
             _helper.stdout.readline()  # its half is done, or it has ended: then the rest is compiled here
             _helper.kill()
             _helper.communicate()
             _helper = None
-        _track(config, image, lines)
+        _track(config, image, trace.lines, trace if stereo else None)
 
 
 @contextmanager
@@ -76,10 +79,12 @@ def _few_collections() -> Iterator[None]:
         gc.set_threshold(*usual)
 
 
-def _track(config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], lines: LineSet) -> None:
+def _track(
+    config: TrackerConfig, image: NDArray[np.uint8] | NDArray[np.uint16], lines: LineSet, right: Trace | None = None
+) -> None:
     tracker, edges = LineTracker(config), np.zeros(image.shape[:2], np.float32)
     for index in range(2):
-        tracker.update(Frame(index, index, image), lines, edges)
+        tracker.update(Frame(index, index, image, right=None if right is None else image), lines, edges, right)
     points, ones = np.zeros((LEAST_POINTS, 2), np.float32), np.ones(LEAST_POINTS, np.float32)
     camera_motion(points, points, ones, ones, 1.0, Motion())  # even if nothing flows in this image
 
