@@ -119,6 +119,8 @@ class LineTracker:
                 point_ids, points = self._points.update(gray, image, camera, motion)
                 found = replace(found, point_ids=point_ids, points_px=points)
         found = self._selection.of(found, size)
+        if right is None or reset is not None:
+            self._partners = PartnerFinder()
         if right is not None:
             found = self._partners.update(found, frame, right)
         return self._confirmations.add(found)

@@ -49,25 +49,27 @@ class ByStamp(Generic[T]):
         return self._next if self._next is not None and self._next.stamp_ns == stamp_ns else None
 
 
-def images_of(path: Path) -> Iterator[Frame]:
-    """The images that `--with-images` put into a log of tracks, if it did."""
+def images_of(path: Path, *, right: bool = False) -> Iterator[Frame]:
+    """The images, or right images, that `--with-images` put into a log of tracks, if it did."""
     from logs import open_images
-    from logs.sinks.foxglove import IMAGE_TOPIC
+    from logs.sinks.foxglove import IMAGE_TOPIC, RIGHT_IMAGE_TOPIC
 
     if path.suffix.lower() != ".mcap":
         return
     try:
-        source = open_images(path, IMAGE_TOPIC, time_source="log")  # where the sink writes the frame's stamp
+        source = open_images(
+            path, RIGHT_IMAGE_TOPIC if right else IMAGE_TOPIC, time_source="log"
+        )  # where the sink writes the frame's stamp
     except InputError:  # the log has no such topic; where it cannot be read, those who read its tracks will say so
         return
     with closing(source):
         yield from source
 
 
-def log_image(stream: rr.RecordingStream, image: Frame | None) -> None:
+def log_image(stream: rr.RecordingStream, image: Frame | None, entity: str = "/camera/image") -> None:
     """Log a frame's image, if there is one."""
     if image is not None:
-        stream.log("/camera/image", jpeg(to_uint8(image.image), JPEG_QUALITY))
+        stream.log(entity, jpeg(to_uint8(image.image), JPEG_QUALITY))
 
 
 @contextmanager
@@ -108,7 +110,7 @@ def replay(path: Path, save: Path | None, connect: str | None, *, show_lost: boo
     """
     from logs import read_tracks
 
-    frames, images = read_tracks(path), ByStamp(images_of(path))
+    frames, images, rights = read_tracks(path), ByStamp(images_of(path)), ByStamp(images_of(path, right=True))
     first = next(frames, None)
     shown = layout("minimal", image=not images.empty, right=first is not None and len(first.right_hits) > 0)
     count = 0
@@ -121,6 +123,7 @@ def replay(path: Path, save: Path | None, connect: str | None, *, show_lost: boo
                 stream.log("/camera", pinhole(tracks.camera), static=True)
             image = images.at(tracks.stamp_ns)
             log_image(stream, image)
+            log_image(stream, rights.at(tracks.stamp_ns), "/right/image")
             size = size or picture_size(tracks, None if image is None else image.image)
             lines.write(tracks, size)
             if tracks.reset is not None:

@@ -157,7 +157,7 @@ def _calibration(file: Path, images: str | os.PathLike[str] | None, number: int 
         chain = {str(name): entry for name, entry in tree.items() if _CAMERA.fullmatch(str(name))}
         chain = {name: entry for name, entry in chain.items() if isinstance(entry, dict)}
         if chain:
-            topics = {str(entry.get("rostopic")): int(name[3:]) for name, entry in chain.items()}
+            topics = {str(entry["rostopic"]): int(name[3:]) for name, entry in chain.items() if "rostopic" in entry}
             number = topics.get(str(images), number)
             name = min(chain, key=lambda name: (name != f"cam{number}", int(name[3:])))
             if len(chain) > 1 and number is None:

@@ -75,6 +75,13 @@ class CameraModel:
             )
         if not (np.isfinite((self.fx, self.fy, self.cx, self.cy)).all() and self.fx > 0 and self.fy > 0):
             raise ConfigError("focal lengths must be positive pixels, and the principal point finite ones")
+        if not (0 <= self.baseline_m <= LARGEST and abs(self.disparity_offset) <= LARGEST):  # NaN fails, too
+            raise ConfigError("a pair's baseline must be zero or more metres, and its disparity offset a finite number")
+        rig = self.rig_from_camera
+        if rig is not None and not (
+            rig.shape == (4, 4) and np.allclose(rig[:3, :3] @ rig[:3, :3].T, np.eye(3), atol=1e-3)
+        ):
+            raise ConfigError("rig_from_camera must be a (4, 4) rotation and translation")
 
     @property
     def matrix(self) -> NDArray[np.float64]:

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WINDOW = 10_000  # frames over which medians are taken
+LEAST_CONFIRMED, FEW, MANY = (
+    100,
+    0.4,
+    0.5,
+)  # of all frames; shares of lines with a partner, and of those that did not move
+STILL = 0.5  # px from the ends of a line to its partner's
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,9 @@ class Summary:
         measured_share: the same, as a share of all observations.
         left_out_per_frame: mean number of tracks seen beyond `max_lines`.
         points_per_frame: mean number of points followed beside the lines.
-        partners_per_frame: mean number of tracks with a partner in the right image; None without one, as the next two.
-        partner_share: of the confirmed tracks, the share with a partner.
+        partners_per_frame: mean number of confirmed tracks with a partner in the right image; None without one, as the
+            next two.
+        partner_share: these as a share of the confirmed tracks.
         depth_known_share: of the confirmed tracks, the share whose disparities tell how far away both ends are.
         tracks: number of tracks handed out that were confirmed.
         ids: number of all tracks handed out, those that stayed tentative too: so many ids are in the files.
@@ -96,8 +103,8 @@ class Summary:
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
         partners = {}
         if self.partner_share is not None:
-            shares = f"{self.partner_share:.1%} of the confirmed, {self.depth_known_share:.1%} with depth"
-            partners = {"of these with a partner": f"{self.partners_per_frame:.1f} ({shares})"}
+            shares = f"{self.partner_share:.1%} of these, {self.depth_known_share:.1%} tell a depth"
+            partners = {"confirmed, with a partner": f"{self.partners_per_frame:.1f} ({shares})"}
         groups = {
             "input": {
                 "frames": f"{self.frames} ({notes})" if notes else f"{self.frames}",
@@ -137,7 +144,9 @@ class SummaryCounter:
         self._frames = 0
         self._counts = np.zeros(6)  # of lines, tracks, stable ones, measured ones, ones that were left out, and points
         self._stereo = False
-        self._partners = np.zeros(4)  # counts of partners, of confirmed tracks, of those with one, and with depth
+        self._partners = np.zeros(
+            4
+        )  # counts of confirmed tracks, of those with a partner, with depth, and not moved in the right image
         self._resets = 0
         self._first_reset: str | None = None
         self._stages: dict[str, deque[float]] = {}
@@ -158,9 +167,10 @@ class SummaryCounter:
         kinds = tracks.stable.sum(), tracks.measured.sum()
         self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out, len(tracks.point_ids))
         if len(tracks.right_hits) and tracks.depth_known is not None:
-            found, sure = tracks.right_hits > 0, tracks.confirmed
-            self._stereo = True
-            self._partners += found.sum(), sure.sum(), (sure & found).sum(), (sure & tracks.depth_known).sum()
+            sure, self._stereo = tracks.confirmed, True
+            still = (np.abs(tracks.right_px - tracks.observed_px) < STILL).all(axis=(1, 2))  # false for NaN
+            of = sure & (tracks.right_hits > 0), sure & tracks.depth_known, sure & still
+            self._partners += sure.sum(), *(kind.sum() for kind in of)
         if tracks.reset is not None:
             self._resets += 1
             self._first_reset = self._first_reset or tracks.reset
@@ -175,7 +185,7 @@ class SummaryCounter:
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
         lines, live, stable, measured, left_out, points = (self._counts / frames).tolist()
-        partners, confirmed, found, known = self._partners.tolist()
+        confirmed, found, known, still = self._partners.tolist()
         of_all = self._lengths + Counter(self._hits.values())
         lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
@@ -204,11 +214,23 @@ class SummaryCounter:
             unpaired_left=source.unpaired[0],
             unpaired_right=source.unpaired[1],
             reconnects=source.reconnects,
-            partners_per_frame=round(partners / frames, 2) if self._stereo else None,
+            partners_per_frame=round(found / frames, 2) if self._stereo else None,
             partner_share=round(found / max(confirmed, 1), 4) if self._stereo else None,
             depth_known_share=round(known / max(confirmed, 1), 4) if self._stereo else None,
             calibration=source.calibration,
             kind=source.kind,
             live=source.live,
-            notes=list(source.notes),
+            notes=[*source.notes, *_doubts(confirmed, found, still)],
         )
+
+
+def _doubts(confirmed: float, found: float, still: float) -> list[str]:
+    """A sentence where what was given is hardly a rectified pair, by counts as in `SummaryCounter`."""
+    if confirmed >= LEAST_CONFIRMED and found < FEW * confirmed:
+        return [
+            f"{found / confirmed:.0%} of the lines have a partner, so the images may be no rectified pair: check "
+            "--calib, --right-calib and --rectified"
+        ]
+    if still > MANY * max(found, LEAST_CONFIRMED):
+        return ["both images show nearly the same: check that the right ones are the right camera's"]
+    return []

@@ -77,6 +77,8 @@ def _open_one(spec: str | None, topic: str | None, chosen: InputConfig, calibrat
     from logs.files import is_log
 
     source: Source
+    if spec is None and topic is not None:
+        raise ConfigError("a topic is for logs: name the log, too")
     if spec is None:
         from frontend.sources.scene import BuiltInClip
 
@@ -111,7 +113,8 @@ def _open_pairs(spec: str | None, chosen: InputConfig) -> Source:
     from logs.files import is_log
 
     if spec is None:
-        if not chosen.stereo or chosen.side_by_side or chosen.right is not None or chosen.calib_file is not None:
+        others = chosen.side_by_side, chosen.right, chosen.calib_file, chosen.topic
+        if not chosen.stereo or any(others):
             raise ConfigError("the built-in clip brings its right camera with its calibration: give --stereo alone")
         from frontend.sources.scene import BuiltInClip
 
@@ -128,6 +131,8 @@ def _open_pairs(spec: str | None, chosen: InputConfig) -> Source:
                 topics = stereo_topics(file, chosen.topic)
     elif right is None:
         left, right = find_pair(spec)
+    if not chosen.side_by_side and (os.path.realpath(left), topics[0]) == (os.path.realpath(right), topics[1]):
+        raise ConfigError("the right camera's images are the left one's: name its own with --right, or --right-topic")
     calibrations: tuple[Calibration, Calibration] | tuple[None, None] = None, None
     if chosen.calib_file is not None:
         calibrations = read_pair(chosen.calib_file, (topics[0] or left, topics[1] or right), chosen.right_calib)
@@ -225,11 +230,10 @@ def video_to_log(spec: str | None, config: RunConfig) -> Path | VideoPackets | N
 
     if config.recording.image != "video" or config.recording.layer is not None:
         return None
-    if config.input.resize is not None or config.input.undistort or config.input.pairs:
-        raise ConfigError(
-            "--log-image video shows frames as they are in the file: leave --resize and --undistort out, and of pairs "
-            "record the images with --log-image jpeg"
-        )
+    if config.input.pairs:
+        raise ConfigError("--log-image video is for one camera: record the images of a pair with --log-image jpeg")
+    if config.input.resize is not None or config.input.undistort:
+        raise ConfigError("--log-image video shows frames as they are in the file: leave --resize and --undistort out")
     if spec is None:
         from frontend.sources.scene import CLIP
 

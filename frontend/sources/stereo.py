@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
+from pathlib import PurePath
 from statistics import median
 
 import numpy as np
@@ -21,7 +22,9 @@ from frontend.sources.reading import Image
 from frontend.sources.wrapped import WrappedSource
 from frontend.stereo.rectify import NO_PLACES, Rectifier
 
-_STEPS = 31  # of the left camera's times, whose median is its period
+_STEPS = 31  # of a camera's times, whose median is its period
+_FIRST = 5  # frames of either camera that tell it before the first pair
+_UNPAIRED_LIVE = 60  # frames of live cameras without a pair, after which there will be none
 _PERIOD_NS = 33_333_333  # of a camera, until its second frame is there
 
 
@@ -30,7 +33,8 @@ class StereoSource(Source):
 
     A frame is the left camera's, with `Frame.right` and the camera of the rectified pair. Both sources bring the
     calibration: `Frame.camera` with `rig_from_camera`. Frames without a partner are counted in `unpaired`, and noted.
-    It holds two frames of either source at most; live ones are read by a thread each.
+    Images of folders without times are paired by the last number in their names. It holds a few frames of either
+    source; live ones are read by a thread each.
 
     Args:
         left, right: the sources; closed with this one.
@@ -61,7 +65,7 @@ class StereoSource(Source):
         if left.live != right.live:
             wrong = "one camera of the pair is live, and the other one is recorded: give two of a kind"
         elif max_gap_s is not None and not 0 <= max_gap_s < 1e9:
-            wrong = f"the times of a pair may be zero or more seconds apart, not {max_gap_s}"
+            wrong = f"the times of a pair may be 0 to 1e9 seconds apart, not {max_gap_s}"
         if wrong is not None:
             left.close()
             right.close()
@@ -72,7 +76,8 @@ class StereoSource(Source):
         self._left, self._right = (FreshFrames(left), FreshFrames(right)) if self.live else (left, right)
         self._rectify = _Rectify(rectified)
         self._max_gap_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
-        self._steps: deque[int] = deque(maxlen=_STEPS)
+        self._steps: list[deque[int]] = [deque(maxlen=_STEPS), deque(maxlen=_STEPS)]
+        self._by_number = False
         self._start_ns: int | None = None
         self._notes: list[str] = []
         self._noted = [0, 0]
@@ -102,7 +107,7 @@ class StereoSource(Source):
             both = f"{left.kind}, pairs of '{left.name}' and '{right.name}'"
         else:
             both = f"pairs of {left.kind} and {right.kind}"
-        return f"{both} at most {self._gap_ns / 1e6:.3g} ms apart"
+        return f"{both} {'by number' if self._by_number else f'at most {self._gap_ns / 1e6:.3g} ms apart'}"
 
     @property
     def codec(self) -> str:
@@ -139,9 +144,9 @@ class StereoSource(Source):
         if first_ns is None or right_ns is None:
             return
         self._start_ns = first_ns + round(start_s * 1e9)
-        right_s = (self._start_ns - self._gap_ns - right_ns) / 1e9
         self._left.seek(start_s)
-        self._right.seek(max(0.0, right_s))
+        if first_ns or right_ns:  # where images are paired by number, the right one's places are not known
+            self._right.seek(max(0.0, (self._start_ns - self._gap_ns - right_ns) / 1e9))
 
     def stop(self) -> None:
         self._left.stop()
@@ -152,10 +157,12 @@ class StereoSource(Source):
         self._right.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        lefts, rights = _Ahead(iter(self._left), self._steps), _Ahead(iter(self._right), deque(maxlen=1))
+        lefts, rights = (
+            _Ahead(iter(one), steps) for one, steps in zip((self._left, self._right), self._steps, strict=True)
+        )
         paired = False
-        if not self.live and self._left.first_stamp_ns == self._right.first_stamp_ns == 0:
-            self.notes.append("the times of both cameras begin at zero, so their first frames are taken for one moment")
+        if not self.live:
+            self._begin([ahead.up_to(_FIRST) for ahead in (lefts, rights)])
         try:
             while (left := lefts[0]) is not None and (right := rights[0]) is not None:
                 unpaired = self._without_partner(left, right, lefts, rights)
@@ -169,24 +176,43 @@ class StereoSource(Source):
                     yield replace(frame, read_s=max(left.read_s, right.read_s))
                 else:
                     self._count(unpaired, of_left=unpaired is lefts)
+                    if self.live and not paired and sum(self.unpaired) >= _UNPAIRED_LIVE:
+                        break
             for rest in () if self.live else (lefts, rights):
                 while rest[0] is not None:
                     self._count(rest, of_left=rest is lefts)
             if not paired and any(self.unpaired):
+                what = "have one number" if self._by_number else f"are {self._apart} of each other"
                 raise InputError(
-                    f"no two frames of '{self._left.name}' and '{self._right.name}' are within "
-                    f"{self._gap_ns / 1e6:.3g} ms of each other: check their times, or give --max-stereo-gap"
+                    f"no two frames of '{self._left.name}' and '{self._right.name}' {what}: check their times, "
+                    "or give --max-stereo-gap"
                 )
         finally:
             if any(self.unpaired):
-                apart = f"within {self._gap_ns / 1e6:.3g} ms"
-                self.notes.append("frames without a partner {}: {} left, {} right".format(apart, *self.unpaired))
+                how = "of their number" if self._by_number else self._apart
+                self.notes.append("frames without a partner {}: {} left, {} right".format(how, *self.unpaired))
+
+    def _begin(self, first: list[list[Frame]]) -> None:
+        """Whether images are paired by number, with the first frames of both cameras at hand."""
+        counts = self._left.frame_count, self._right.frame_count
+        if any(frames and frames[0].stamp_ns for frames in first) or self._left.first_stamp_ns:
+            return
+        self._by_number = all(len(frames) > 1 and all(_number(one) is not None for one in frames) for frames in first)
+        if not self._by_number and counts[0] != counts[1]:
+            self.notes.append("the times of both cameras begin at zero, so their first frames are taken for one moment")
+
+    @property
+    def _apart(self) -> str:
+        return f"within {self._gap_ns / 1e6:.3g} ms"
 
     def _without_partner(self, left: Frame, right: Frame, lefts: _Ahead, rights: _Ahead) -> _Ahead | None:
         """Where the first frame has no partner; None where the first two are a pair.
 
         A nearer one that comes next is preferred, unless that has a nearer one itself. Live frames do not wait for it.
         """
+        if self._by_number:
+            ours, theirs = _number(left) or 0, _number(right) or 0
+            return None if ours == theirs else lefts if ours < theirs else rights
         after, right_after = (None, None) if self.live else (lefts[1], rights[1])
         gap = _apart(left, right)
         if gap > self._gap_ns:
@@ -204,16 +230,9 @@ class StereoSource(Source):
     def _gap_ns(self) -> int:
         if self._max_gap_ns is not None:
             return self._max_gap_ns
-        # frames that are missing make either of them longer
-        known = [*filter(None, (self._mean_step_ns, median(self._steps) if self._steps else None))]
-        return round(min(known, default=_PERIOD_NS) / 3)
-
-    @cached_property
-    def _mean_step_ns(self) -> float | None:
-        count, first_ns, last_ns = self._left.frame_count, self._left.first_stamp_ns, self._left.last_stamp_ns
-        if count is None or count < 2 or first_ns is None or last_ns is None:
-            return None
-        return (last_ns - first_ns) / (count - 1)
+        # frames that are missing make any of them longer
+        known = [_mean_step_ns(self._left), _mean_step_ns(self._right), *(median(s) for s in self._steps if s)]
+        return round(min(filter(None, known), default=_PERIOD_NS) / 3)
 
 
 class SideBySide(WrappedSource):
@@ -267,7 +286,7 @@ class SideBySide(WrappedSource):
 
 
 class _Ahead:
-    """The next two frames of a source, None behind the last; times between frames go into `steps`, ns."""
+    """The next frames of a source, None behind the last; times between frames go into `steps`, ns."""
 
     def __init__(self, frames: Iterator[Frame], steps: deque[int]) -> None:
         self._frames, self._steps = frames, steps
@@ -283,6 +302,10 @@ class _Ahead:
                     self._steps.append(frame.stamp_ns - self._latest)
                 self._latest = frame.stamp_ns
         return self._held[place]
+
+    def up_to(self, count: int) -> list[Frame]:
+        """The next frames, so many at most."""
+        return [frame for place in range(count) if (frame := self[place]) is not None]
 
     def take(self) -> Frame | None:
         frame = self[0]
@@ -307,7 +330,7 @@ class _Rectify:
         if (left.image.shape[:2], left.image.dtype) != (image.shape[:2], image.dtype):
             both = (left.image, image)
             sizes = " and ".join(f"{one.shape[1]}x{one.shape[0]} px of {8 * one.itemsize} bits" for one in both)
-            raise InputError(f"the images of a pair must be of one size and depth, not {sizes}: resize one of them")
+            raise InputError(f"the images of a pair must be of one size and depth, not {sizes}: convert one of them")
         if left.camera is None:
             if not self._rectified:
                 raise InputError(NO_PLACES)
@@ -323,3 +346,16 @@ class _Rectify:
 def _apart(left: Frame | None, right: Frame | None) -> float:
     """Nanoseconds between two frames; infinite where one is missing."""
     return float("inf") if left is None or right is None else abs(left.stamp_ns - right.stamp_ns)
+
+
+def _mean_step_ns(source: Source) -> float | None:
+    count, first_ns, last_ns = source.frame_count, source.first_stamp_ns, source.last_stamp_ns
+    if count is None or count < 2 or first_ns is None or last_ns is None:
+        return None
+    return (last_ns - first_ns) / (count - 1)
+
+
+def _number(frame: Frame) -> int | None:
+    """The last number in the name of a frame's file."""
+    found = re.findall(r"\d+", PurePath(frame.name).stem)
+    return int(found[-1]) if found else None

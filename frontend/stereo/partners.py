@@ -82,6 +82,8 @@ class PartnerFinder:
         if frame.right_gray is None or frame.right_gray.shape != frame.gray.shape:
             raise InputError("partners are looked for in a right image of the left one's size: give Frame.right")
         images, lines = (to_uint8(frame.gray), to_uint8(frame.right_gray)), right.lines
+        if not np.isfinite(lines.segments).all() or right.edges.shape != images[1].shape:
+            raise InputError("the right image's lines must be finite, and its edges of its size")
         camera = camera_of(tracks.camera, images[0].shape[::-1])
         gain, infinity = _gain(*images), camera.disparity_offset
         hits, partners = self._remembered(tracks.ids)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airline.detector import AirLine
-from airline.errors import InputError
+from airline.errors import ConfigError, InputError
 from airline.lines import LineSet
 from airline.scenes import RenderedClip
 from frontend import CameraModel, Frame, LineFrontend, LineTracks, Source
@@ -211,3 +212,27 @@ def test_a_right_image_of_another_size_is_told():
     odd = replace(frame, right=frame.right[:-2])
     with pytest.raises(InputError, match="left one's size"):
         next(iter(LineFrontend(AirLine(threads=1)).results(Given([odd]), serial=True)))
+
+
+def test_an_image_without_a_right_one_ends_the_counts() -> None:
+    tracker, hits = LineTracker(), []
+    for k, result in enumerate(results()[:3]):
+        right = result.right if k != 1 else None
+        tracks = tracker.update(result.frame, result.trace.lines, result.trace.edges, right)
+        hits.append(tracks.right_hits.max(initial=0))
+    assert hits == [1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"baseline_m": -0.1},
+        {"baseline_m": np.nan},
+        {"disparity_offset": np.inf},
+        {"rig_from_camera": 2 * np.eye(4)},
+        {"rig_from_camera": np.eye(3)},
+    ],
+)
+def test_what_is_no_camera_of_a_pair_is_refused(odd: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        replace(CAMERA, **odd)

@@ -107,12 +107,29 @@ def test_partners_are_counted_where_there_is_a_right_image() -> None:
         counter.add(result(found, 4, {}), 0.0)
     counter.add(result(replace(blank_tracks(0)), 0, {}), 0.0)
     summary = counter.summary(Source())
-    assert (summary.partners_per_frame, summary.partner_share, summary.depth_known_share) == (1.33, 0.5, 0.25)
+    assert (summary.partners_per_frame, summary.partner_share, summary.depth_known_share) == (0.67, 0.5, 0.25)
     cells = dict(zip(*(column.cells for column in summary.table().columns[1:]), strict=True))
-    assert cells["of these with a partner"] == "1.3 (50.0% of the confirmed, 25.0% with depth)"
+    assert cells["confirmed, with a partner"] == "0.7 (50.0% of these, 25.0% tell a depth)"
     mono = SummaryCounter(3).summary(Source())
     assert (mono.partners_per_frame, mono.to_dict()["partner_share"], mono.depth_known_share) == (None, None, None)
-    assert "of these with a partner" not in mono.table().columns[1].cells
+    assert "confirmed, with a partner" not in mono.table().columns[1].cells
+
+
+@pytest.mark.parametrize(
+    ("shift", "with_partner", "words"),
+    [(7, 50, None), (7, 10, "10% of the lines have a partner, so the images may be no"), (0, 50, "nearly the same")],
+)
+def test_what_is_hardly_a_pair_is_said(shift: float, with_partner: int, words: str | None) -> None:
+    counter, count = SummaryCounter(3), 100
+    segments = np.tile(np.float32([[60, 10], [60, 50]]), (count, 1, 1))
+    hits = (np.arange(count) < with_partner).astype(np.int32)
+    partners = np.where(hits[:, None, None] > 0, segments - np.float32([shift, 0]), np.float32(np.nan))
+    right = {"right_covariances": np.zeros((count, 2, 2), np.float32), "right_measured": np.zeros(count, np.bool_)}
+    tracks = blank_tracks(count, observed_px=segments, states=np.ones(count, np.uint8))
+    for _ in range(2):
+        counter.add(result(replace(tracks, right_px=partners, right_hits=hits, **right), count, {}), 0.0)
+    notes = counter.summary(Source()).notes
+    assert notes == [] if words is None else words in notes[0]
 
 
 def test_points_are_counted_and_said_where_there_are_any() -> None:
