@@ -58,9 +58,13 @@ def test_a_first_start_says_that_it_compiles(clip: Path, tmp_path: Path, monkeyp
 
 
 def test_a_reader_that_leaves_is_no_traceback(clip: Path) -> None:
-    command = f"'{sys.executable}' -m frontend.run '{clip}' --info | true; echo ${{PIPESTATUS[0]}}"
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = f"'{sys.executable}' -m frontend.run '{clip}' --info >&{writer}; echo $?"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    done = subprocess.run(["bash", "-c", command], cwd=ROOT, env=environment, capture_output=True, text=True)
+    run = {"cwd": ROOT, "env": environment, "capture_output": True, "text": True, "pass_fds": [writer]}
+    done = subprocess.run(["bash", "-c", command], **run)
+    os.close(writer)
     assert (done.stdout, done.stderr) == ("141\n", "")
 
 

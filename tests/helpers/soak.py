@@ -234,11 +234,11 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"no folder {options.folder}: create it, or name another")
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as frontend.run does
     config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": {"max_frames": 120}})
-    ((size, files),) = load_clips(options.input, [options.size], config).items()
+    ((size, (files, _)),) = load_clips(options.input, [options.size], config).items()
     watch = Endurance(max(SHORTEST, options.frames // SAMPLES))
     with tempfile.TemporaryDirectory(prefix="soak-") as temporary:
         turns = Turns(options.folder or Path(temporary), options.per_file, options.files)
-        code, summary = process(ClipSource(files, options.frames, "soak"), config, [watch, turns])
+        code, summary = process(ClipSource(files, options.frames, name="soak"), config, [watch, turns])
     if code not in (0, 130):
         return code
     figures = judge(watch, turns)
