@@ -14,8 +14,8 @@ from airline.kernels.compiled import njit
 from frontend.camera.model import CameraModel
 from frontend.stereo.disparity import disparities
 
-ACROSS = np.arange(-4.0, 5.0)  # px from the line
-SPACING, LEAST, MOST = 4.0, 6, 24  # px between stations along the line, and how many it has
+ACROSS = np.arange(-3.0, 4.0)  # px from the line
+SPACING, LEAST, MOST = 6.0, 6, 16  # px between stations along the line, and how many it has
 STEPS = 2
 REACH = 30.0  # grey levels: what differs by more shows something else
 NOISE = 8.0  # grey levels, standard deviation of what does not, for a sample; neighbours err alike
