@@ -31,6 +31,8 @@ _PERIOD_NS = 33_333_333  # of a camera, until its second frame is there
 class StereoSource(Source):
     """Rectified pairs of two cameras' frames, paired by their times: the nearest ones, each in one pair at most.
 
+    Which is certain as long as the gap is less than half of either period; with a larger one the next frame is asked.
+
     A frame is the left camera's, with `Frame.right` and the camera of the rectified pair. Both sources bring the
     calibration: `Frame.camera` with `rig_from_camera`. Frames without a partner are counted in `unpaired`, and noted.
     Images of folders without times are paired by the last number in their names. It holds a few frames of either
