@@ -180,14 +180,13 @@ def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) ->
             advance()
     plain, serial_ms = found["fps"], [run["stage_ms"] for run in found["fps_serial"]]
     rates = {name: _median(run["fps"] for run in done) for name, done in found.items()}
-    pairs = found.get(PAIRS)
+    of_pairs = {}
+    if PAIRS in found:
+        most = max(run["peak_mb"] for run in found[PAIRS])
+        of_pairs = {"pair_cost": rates["fps"] / rates[PAIRS], "peak_mb_pairs": most}
     return {
         **rates,
-        **(
-            {"pair_cost": rates["fps"] / rates[PAIRS], "peak_mb_pairs": max(r["peak_mb"] for r in pairs)}
-            if pairs
-            else {}
-        ),
+        **of_pairs,
         "peak_mb": max(run["peak_mb"] for run in plain),
         "peak_mb_rerun": max(run["peak_mb"] for run in found["fps_rerun"]),
         "latency_ms": _median(run["latency_ms"] for run in plain),

@@ -1,4 +1,4 @@
-"""What is known in space: checks of poses and of lines that are handed to sinks."""
+"""What is known in space: checks of rigid motions, and of lines that are handed to sinks."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ from numpy.typing import NDArray
 from airline.errors import InputError
 
 
+def is_rigid(motion: NDArray[np.float64]) -> bool:
+    """Whether it is a (4, 4) rotation and translation, up to the digits that files have of it."""
+    if motion.shape != (4, 4) or not np.isfinite(motion).all():
+        return False
+    turn = motion[:3, :3]
+    near = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.allclose(motion[3], (0, 0, 0, 1))
+    return bool(near and np.linalg.det(turn) > 0)
+
+
 def checked_pose(world_T_camera: NDArray[np.floating]) -> NDArray[np.float64]:
     """A (4, 4) rigid motion as float64; InputError where it is none."""
     pose = np.asarray(world_T_camera, np.float64)
-    turn = pose[:3, :3]
-    if (
-        pose.shape != (4, 4)
-        or not np.isfinite(pose).all()
-        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(turn) < 0
-    ):
+    if not is_rigid(pose):
         raise InputError("a pose must be a (4, 4) matrix of rotation and translation, from camera to world")
     return pose
 

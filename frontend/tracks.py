@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frontend.camera.lines import coefficients, covariances_on_plane, normals
 from frontend.camera.model import CameraModel
+from frontend.fields import Field, ends_named, words_of
 from frontend.stereo.disparity import disparities, in_metres
 
 Int64: TypeAlias = NDArray[np.int64]
@@ -26,67 +27,6 @@ class TrackState(IntEnum):
 
     TENTATIVE = 0
     CONFIRMED = 1
-
-
-ROWS = {
-    **{"seen": ("N", "ids"), "right": ("N", "right_hits")},
-    **{"lost": ("L", "lost_ids"), "ended": ("E", "ended_ids"), "points": ("P", "point_ids")},
-}
-"""Whose rows an array has: the letter of its first axis, and the field that says how many there are.
-
-Arrays of the right image have those of the tracks seen, in the same order, and without a right image none.
-"""
-
-
-@dataclass(frozen=True)
-class Field:
-    """What an array of `LineTracks` holds, one row per line or point.
-
-    Attributes:
-        meaning: for people, in files too.
-        unit: of all numbers, or one for each number of a row, separated by commas.
-        shape: of a row; (-1,) is any length, the same for all rows of a frame.
-        columns: names in Parquet and CSV, one for each number of a row; by default the field's name. A name that comes
-            twice is the same number. Rows of any length, and those of lost and ended tracks, are one column.
-        rows: whose: tracks seen in the frame (N), their partners in the right image (N, or 0 without one), lost (L) or
-            ended (E), or points (P).
-        older: what stands for it in files from before it was there; None: all files have it.
-        words: what tables have in place of the numbers 0, 1, ...
-        name: of the attribute. It and the dtype come from the declaration.
-        dtype: numpy's, of the array.
-    """
-
-    meaning: str
-    unit: str = ""
-    shape: tuple[int, ...] = ()
-    columns: str = ""
-    rows: Literal["seen", "right", "lost", "ended", "points"] = "seen"
-    older: float | None = None
-    words: tuple[str, ...] = ()
-    name: str = ""
-    dtype: Any = None
-
-    @property
-    def text(self) -> str:
-        """Shape, unit and meaning, such as "(N, 2, 2) px, the line"."""
-        axes = [ROWS[self.rows][0], *("C" if n < 0 else str(n) for n in self.shape)]
-        return f"({', '.join(axes)}) {self.unit + ', ' if self.unit and ',' not in self.unit else ''}{self.meaning}"
-
-    @property
-    def numbers(self) -> list[tuple[str, str]]:
-        """Name and unit of each column, in the order of a row's numbers."""
-        count = 1 if self.shape == (-1,) or self.rows in ("lost", "ended") else int(np.prod(self.shape))
-        names = self.columns.split() or [self.name if count == 1 else f"{self.name}_{k}" for k in range(count)]
-        units = self.unit.split(", ")
-        return list(zip(names, units if len(units) == count else [self.unit] * count, strict=True))
-
-
-def _ends(prefix: str = "") -> str:
-    return " ".join(prefix + end for end in ("x0", "y0", "x1", "y1"))
-
-
-def _words(kind: type[IntEnum]) -> tuple[str, ...]:
-    return tuple(one.name.lower() for one in kind)
 
 
 def _no_ids() -> Int64:
@@ -115,8 +55,10 @@ class LineTracks:
     frame_index: int
     stamp_ns: int
     ids: Annotated[Int64, Field("track id, ascending, never used again", columns="id")]
-    segments_px: Annotated[Float32, Field("line fused over the frames so far", "px", (2, 2), _ends())]
-    observed_px: Annotated[Float32, Field("line as measured in this frame alone", "px", (2, 2), _ends("observed_"))]
+    segments_px: Annotated[Float32, Field("line fused over the frames so far", "px", (2, 2), ends_named())]
+    observed_px: Annotated[
+        Float32, Field("line as measured in this frame alone", "px", (2, 2), ends_named("observed_"))
+    ]
     covariances: Annotated[
         Float32,
         Field(
@@ -138,7 +80,7 @@ class LineTracks:
     ]
     scores: Annotated[Float32, Field("score of the measurement, in [0, 1]", columns="score")]
     descriptors: Annotated[Float32, Field("orientation descriptor, a unit vector", shape=(-1,), columns="descriptor")]
-    states: Annotated[UInt8, Field("0 tentative, 1 confirmed", columns="state", words=_words(TrackState))]
+    states: Annotated[UInt8, Field("0 tentative, 1 confirmed", columns="state", words=words_of(TrackState))]
     ages: Annotated[Int32, Field("frames since the track began, 0 in its first frame", columns="age")]
     hits: Annotated[Int32, Field("frames in which it was seen, this one included")]
     measured: Annotated[
@@ -163,7 +105,7 @@ class LineTracks:
             "its partner as measured in the right image, in the same direction; NaN where there is none",
             "px",
             (2, 2),
-            _ends("right_"),
+            ends_named("right_"),
             "right",
             older=np.nan,
         ),

@@ -57,9 +57,8 @@ def images_of(path: Path, *, right: bool = False) -> Iterator[Frame]:
     if path.suffix.lower() != ".mcap":
         return
     try:
-        source = open_images(
-            path, RIGHT_IMAGE_TOPIC if right else IMAGE_TOPIC, time_source="log"
-        )  # where the sink writes the frame's stamp
+        topic = RIGHT_IMAGE_TOPIC if right else IMAGE_TOPIC
+        source = open_images(path, topic, time_source="log")  # where the sink writes the frame's stamp
     except InputError:  # the log has no such topic; where it cannot be read, those who read its tracks will say so
         return
     with closing(source):

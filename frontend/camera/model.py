@@ -17,6 +17,7 @@ from frontend.camera.distortion import (
     undistort_equidistant,
     undistort_radial_tangential,
 )
+from frontend.space import is_rigid
 
 Distortion = Literal["none", "radial-tangential", "equidistant"]
 MAX_SIDE = 65536  # px, of an image that a file declares
@@ -77,10 +78,7 @@ class CameraModel:
             raise ConfigError("focal lengths must be positive pixels, and the principal point finite ones")
         if not (0 <= self.baseline_m <= LARGEST and abs(self.disparity_offset) <= LARGEST):  # NaN fails, too
             raise ConfigError("a pair's baseline must be zero or more metres, and its disparity offset a finite number")
-        rig = self.rig_from_camera
-        if rig is not None and not (
-            rig.shape == (4, 4) and np.allclose(rig[:3, :3] @ rig[:3, :3].T, np.eye(3), atol=1e-3)
-        ):
+        if self.rig_from_camera is not None and not is_rigid(self.rig_from_camera):
             raise ConfigError("rig_from_camera must be a (4, 4) rotation and translation")
 
     @property

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from airline.errors import InputError
 from frontend.camera.model import LARGEST
+from frontend.space import is_rigid
 
 Array = NDArray[np.float64]
-
-_ROUNDED = 1e-3  # that entries of a rotation may be wrong by, as numbers with few decimals are
 
 
 def rigid(numbers: Any, what: str) -> Array:
@@ -26,9 +25,7 @@ def rigid(numbers: Any, what: str) -> Array:
         values = np.append(values, (0, 0, 0, 1))
     if values.size == 16 and (np.abs(values) <= LARGEST).all():  # false for NaN
         motion = values.reshape(4, 4)
-        turn = motion[:3, :3]
-        error = np.abs(turn @ turn.T - np.eye(3)).max()
-        if error < _ROUNDED and np.linalg.det(turn) > 0 and (motion[3] == (0, 0, 0, 1)).all():
+        if is_rigid(motion):
             return motion
     raise InputError(f"{what} is no rotation with a translation: it must be 4x4 numbers, the last row 0 0 0 1")
 

@@ -10,17 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from frontend.protocols import FrameResult, Source
+from frontend.stereo.counts import PartnerCounts
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 WINDOW = 10_000  # frames over which medians are taken
-LEAST_CONFIRMED, FEW, MANY = (
-    100,
-    0.4,
-    0.5,
-)  # of all frames; shares of lines with a partner, and of those that did not move
-STILL = 0.5  # px from the ends of a line to its partner's
 
 
 @dataclass(frozen=True)
@@ -143,10 +138,7 @@ class SummaryCounter:
         self._begin_s = self._latest_s = time.perf_counter()
         self._frames = 0
         self._counts = np.zeros(6)  # of lines, tracks, stable ones, measured ones, ones that were left out, and points
-        self._stereo = False
-        self._partners = np.zeros(
-            4
-        )  # counts of confirmed tracks, of those with a partner, with depth, and not moved in the right image
+        self._partners = PartnerCounts()
         self._resets = 0
         self._first_reset: str | None = None
         self._stages: dict[str, deque[float]] = {}
@@ -166,11 +158,7 @@ class SummaryCounter:
         tracks = result.tracks
         kinds = tracks.stable.sum(), tracks.measured.sum()
         self._counts += (len(result.trace.lines), len(tracks), *kinds, tracks.left_out, len(tracks.point_ids))
-        if len(tracks.right_hits) and tracks.depth_known is not None:
-            sure, self._stereo = tracks.confirmed, True
-            still = (np.abs(tracks.right_px - tracks.observed_px) < STILL).all(axis=(1, 2))  # false for NaN
-            of = sure & (tracks.right_hits > 0), sure & tracks.depth_known, sure & still
-            self._partners += sure.sum(), *(kind.sum() for kind in of)
+        self._partners.add(tracks)
         if tracks.reset is not None:
             self._resets += 1
             self._first_reset = self._first_reset or tracks.reset
@@ -185,7 +173,8 @@ class SummaryCounter:
         elapsed_s = self._latest_s - self._begin_s
         frames = max(self._frames, 1)
         lines, live, stable, measured, left_out, points = (self._counts / frames).tolist()
-        confirmed, found, known, still = self._partners.tolist()
+        pairs = self._partners
+        of = max(pairs.confirmed, 1)
         of_all = self._lengths + Counter(self._hits.values())
         lengths = {hits: n for hits, n in of_all.items() if hits >= self._confirm_hits}
         sizes = np.repeat(list(lengths), list(lengths.values())) if lengths else np.zeros(1)
@@ -214,23 +203,11 @@ class SummaryCounter:
             unpaired_left=source.unpaired[0],
             unpaired_right=source.unpaired[1],
             reconnects=source.reconnects,
-            partners_per_frame=round(found / frames, 2) if self._stereo else None,
-            partner_share=round(found / max(confirmed, 1), 4) if self._stereo else None,
-            depth_known_share=round(known / max(confirmed, 1), 4) if self._stereo else None,
+            partners_per_frame=round(pairs.found / frames, 2) if pairs.stereo else None,
+            partner_share=round(pairs.found / of, 4) if pairs.stereo else None,
+            depth_known_share=round(pairs.known / of, 4) if pairs.stereo else None,
             calibration=source.calibration,
             kind=source.kind,
             live=source.live,
-            notes=[*source.notes, *_doubts(confirmed, found, still)],
+            notes=[*source.notes, *pairs.notes()],
         )
-
-
-def _doubts(confirmed: float, found: float, still: float) -> list[str]:
-    """A sentence where what was given is hardly a rectified pair, by counts as in `SummaryCounter`."""
-    if confirmed >= LEAST_CONFIRMED and found < FEW * confirmed:
-        return [
-            f"{found / confirmed:.0%} of the lines have a partner, so the images may be no rectified pair: check "
-            "--calib, --right-calib and --rectified"
-        ]
-    if still > MANY * max(found, LEAST_CONFIRMED):
-        return ["both images show nearly the same: check that the right ones are the right camera's"]
-    return []

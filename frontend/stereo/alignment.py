@@ -1,4 +1,4 @@
-"""Partners moved to where the right image is most like the left one: disparities to a tenth of a pixel.
+"""Partners moved to where the right image is most like the left one: disparities to fractions of a pixel.
 
 Lucas and Kanade's method (1981) along the rows, in two unknowns per line, the disparities of its ends: Gauss and
 Newton's steps on the grey levels around the line, with Tukey's weights for what is hidden or moves on its own, and with

@@ -6,7 +6,7 @@ left line's end point (x, y) and the right line's x' in the same row, the dispar
 
     (o' + t' a') / u'_y - (o + t a) / u_y
 
-Two views of one edge have the same texture beside it and the same bias, so half of their errors is common.
+Two views of one edge have the same texture beside it and the same bias, so most of their errors are common (`ALIKE`).
 At infinity the disparity is `CameraModel.disparity_offset`; Z = fx baseline / (disparity - offset).
 """
 

@@ -27,6 +27,7 @@ BEYOND = 2.0  # px past infinity that errors may take a disparity
 SLACK, CHANGE = 3.0, 0.15  # px, and share of a disparity, by which it may differ from the last frame's
 MIN_SUPPORT, MIN_APPEARANCE = 0.6, 0.5  # of a partner on the edge map, as of `TrackerConfig`;
 MIN_GUESSED, YOUNG = 0.6, 1  # the latter where the disparity is guessed, which it is up to this age
+LEAST_SIDE = 3  # px of an image
 LEAST = 10  # partners that tell which camera is the left one
 
 Array = NDArray[np.float64]
@@ -79,8 +80,12 @@ class PartnerFinder:
         Raises:
             InputError: there is no right image of the same size, or the cameras are the wrong way round.
         """
-        if frame.right_gray is None or frame.right_gray.shape != frame.gray.shape:
-            raise InputError("partners are looked for in a right image of the left one's size: give Frame.right")
+        size = frame.gray.shape
+        if frame.right_gray is None or frame.right_gray.shape != size or min(size) < LEAST_SIDE:
+            raise InputError(
+                f"partners are looked for in a right image of the left one's size, {LEAST_SIDE} px wide and high at "
+                "least: give Frame.right"
+            )
         images, lines = (to_uint8(frame.gray), to_uint8(frame.right_gray)), right.lines
         if not np.isfinite(lines.segments).all() or right.edges.shape != images[1].shape:
             raise InputError("the right image's lines must be finite, and its edges of its size")

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks, TrackState
+from frontend.fields import ROWS, Field
+from frontend.tracks import DERIVED, FIELDS, LineTracks, TrackState
 
 SECOND_NS = 1_000_000_000
 SCHEMA_NAME = "frontend.LineTracks"

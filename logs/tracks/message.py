@@ -15,8 +15,9 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
+from frontend.fields import ROWS, Field
 from frontend.protocols import FrameResult
-from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
+from frontend.tracks import DERIVED, FIELDS, LineTracks
 from logs.tracks.json import Camera, Int, Size, assembled
 
 VERSION = 1

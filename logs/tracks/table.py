@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from airline.errors import AirLineError, InputError
 from frontend.camera.model import CameraModel
-from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
+from frontend.fields import ROWS, Field
+from frontend.tracks import DERIVED, FIELDS, LineTracks
 from logs.tracks.json import CONVENTIONS, Camera, assembled, decode_tracks, encode_tracks
 
 # The order of the first version's columns; fields that came later follow.

@@ -117,13 +117,18 @@ def test_partners_are_counted_where_there_is_a_right_image() -> None:
 
 @pytest.mark.parametrize(
     ("shift", "with_partner", "words"),
-    [(7, 50, None), (7, 10, "10% of the lines have a partner, so the images may be no"), (0, 50, "nearly the same")],
+    [
+        ((7, 0.2), 50, None),
+        ((7, 0), 10, "10% of the lines have a partner, so the images may be no"),
+        ((0, 0), 50, "nearly the same"),
+        ((7, -1), 50, "rows are -1.0 px off"),
+    ],
 )
-def test_what_is_hardly_a_pair_is_said(shift: float, with_partner: int, words: str | None) -> None:
+def test_what_is_hardly_a_pair_is_said(shift: tuple[float, float], with_partner: int, words: str | None) -> None:
     counter, count = SummaryCounter(3), 100
     segments = np.tile(np.float32([[60, 10], [60, 50]]), (count, 1, 1))
     hits = (np.arange(count) < with_partner).astype(np.int32)
-    partners = np.where(hits[:, None, None] > 0, segments - np.float32([shift, 0]), np.float32(np.nan))
+    partners = np.where(hits[:, None, None] > 0, segments - np.float32(shift) * (1, -1), np.nan).astype(np.float32)
     right = {"right_covariances": np.zeros((count, 2, 2), np.float32), "right_measured": np.zeros(count, np.bool_)}
     tracks = blank_tracks(count, observed_px=segments, states=np.ones(count, np.uint8))
     for _ in range(2):

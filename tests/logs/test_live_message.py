@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airline.errors import InputError
-from frontend.tracks import DERIVED, Field, LineTracks
+from frontend.fields import Field
+from frontend.tracks import DERIVED, LineTracks
 from logs.tracks.message import ARRAYS, MAX_BYTES, LiveTracks, decode, encode
 from tests.helpers.made_tracks import PAIR, assert_same, clip_results, made_tracks, result_of
 

@@ -15,7 +15,8 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from frontend.tracks import DERIVED, FIELDS, ROWS, Field, LineTracks
+from frontend.fields import ROWS, Field
+from frontend.tracks import DERIVED, FIELDS, LineTracks
 from logs.sinks.open import open_track_sink
 from tests.helpers.made_tracks import FISHEYE, PAIR, clip_results, made_tracks, write_all
 
