@@ -181,7 +181,7 @@ class StereoSource(Source):
                     if self.live and not paired and sum(self.unpaired) >= _UNPAIRED_LIVE:
                         break
             if self.live and paired:
-                self.notes.append(f"the {'left' if lefts[0] is None else 'right'} camera ended first")
+                self.notes.append(f"the {'left' if lefts[0] is None else 'right'} camera ended, and with it the pairs")
             for rest in () if self.live else (lefts, rights):
                 while rest[0] is not None:
                     self._count(rest, of_left=rest is lefts)

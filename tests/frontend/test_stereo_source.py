@@ -241,6 +241,7 @@ def test_two_live_cameras() -> None:
     assert len(found) + fresh.dropped + source.unpaired[0] <= 12
     assert set(found) <= set(lefts) - {lefts[5]}
     assert len(found) >= 8  # of 11, on a busy machine
+    assert "camera ended, and with it the pairs" in source.notes[-1 - any(source.unpaired)]
     assert left.closed
     assert right.closed
     with pytest.raises(ConfigError, match="two of a kind"):
