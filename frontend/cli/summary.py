@@ -98,7 +98,7 @@ class Summary:
         notes = ", ".join(f"{count} {what}" for what, count in missing.items() if count)
         partners = {}
         if self.partner_share is not None:
-            shares = f"{self.partner_share:.1%} of these, {self.depth_known_share:.1%} tell a depth"
+            shares = f"{self.partner_share:.1%}; {self.depth_known_share:.1%} tell a depth"
             partners = {"confirmed, with a partner": f"{self.partners_per_frame:.1f} ({shares})"}
         groups = {
             "input": {

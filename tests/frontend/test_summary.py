@@ -109,7 +109,7 @@ def test_partners_are_counted_where_there_is_a_right_image() -> None:
     summary = counter.summary(Source())
     assert (summary.partners_per_frame, summary.partner_share, summary.depth_known_share) == (0.67, 0.5, 0.25)
     cells = dict(zip(*(column.cells for column in summary.table().columns[1:]), strict=True))
-    assert cells["confirmed, with a partner"] == "0.7 (50.0% of these, 25.0% tell a depth)"
+    assert cells["confirmed, with a partner"] == "0.7 (50.0%; 25.0% tell a depth)"
     mono = SummaryCounter(3).summary(Source())
     assert (mono.partners_per_frame, mono.to_dict()["partner_share"], mono.depth_known_share) == (None, None, None)
     assert "confirmed, with a partner" not in mono.table().columns[1].cells
