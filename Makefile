@@ -27,8 +27,10 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest --numprocesses logical --dist loadfile --max-worker-restart 0
 
-# damaged and hostile input for every reader of files and messages: 280,000 inputs, some minutes
+# damaged and hostile input for every reader of files and messages, and property tests on other inputs than `make test`
+# has: 280,000 inputs, some minutes
 fuzz: .venv/installed
+	$(BIN)/python -m pytest --hypothesis-profile search -m hypothesis
 	$(BIN)/python -m tests.helpers.fuzz 2>/dev/null
 
 # 50,000 frames through the whole pipeline, half an hour and more

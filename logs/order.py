@@ -144,7 +144,8 @@ class StampOrder:
             return True  # else all of them would be left out
         delays = sorted(delay for _, delay in behind)
         stamps = sorted(stamp for stamp, _ in (before if len(before) > WINDOW else before + behind))
-        period = median(b - a for a, b in pairwise(stamps))
+        steps = sorted(b - a for a, b in pairwise(stamps))
+        period = steps[len(steps) // 8]  # most may span dropped frames
         start = next((k for k in range(len(before), 0, -1) if before[k - 1][1] >= delays[0]), 0)
         rest, low = [delay for _, delay in before[:start]], [delay for _, delay in before[start:]]
         if not low:

@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from logs.files.mcap_file import McapFile
 
 # before torch is loaded: on small images threads gain nothing, and on a busy machine they wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# `make test` tells of a change, by the same inputs every time; `make fuzz` looks for other ones
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None, print_blob=True)
+settings.load_profile("fixed")
 
 
 @pytest.fixture(scope="session")

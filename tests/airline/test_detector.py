@@ -110,7 +110,7 @@ def test_takes_any_size(airline, size):
     assert (lines.segments <= np.array(size) - 0.5).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 90), st.integers(1, 90), st.integers(0, 10**6))
 def test_small_images_of_noise_never_fail(height, width, seed):
     image = np.random.default_rng(seed).integers(0, 256, (height, width), np.uint8)

@@ -50,7 +50,7 @@ def networks() -> tuple[OpenVinoNetwork, TorchNetwork]:
 
 
 @given(height=st.integers(1, 70), width=st.integers(1, 70), seed=st.integers(0, 99))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_any_size(networks: tuple[OpenVinoNetwork, TorchNetwork], height: int, width: int, seed: int) -> None:
     image = np.random.default_rng(seed).integers(0, 256, (height, width), np.uint8)
     ours, theirs = (network(image) for network in networks)

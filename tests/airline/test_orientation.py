@@ -17,7 +17,7 @@ def everywhere(height: int, width: int) -> np.ndarray:
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.int32)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     height=st.integers(1, 30),

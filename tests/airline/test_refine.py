@@ -49,7 +49,7 @@ def errors(lines: LineSet, line: np.ndarray) -> np.ndarray:
 shifts = st.floats(-0.3, 0.3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(0, 180), shifts, shifts, shifts, shifts)
 def test_lines_move_onto_the_edge(degrees, dx, dy, at_start, at_end):
     line = ideal_line(degrees, (dx, dy))

@@ -55,7 +55,7 @@ def plain_grow(edge, descriptors, grower: RegionGrower) -> list[int]:
     return labels
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10**6),
     height=st.integers(1, 40),
@@ -141,7 +141,7 @@ def test_straight_regions_stay_whole_and_a_corner_is_where_a_bent_one_is_cut() -
         assert distances.min(axis=1).max() < 2.5
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     steps=st.lists(st.tuples(st.integers(15, 60), st.floats(-1, 1)), min_size=1, max_size=12),
     noise=st.floats(0, 0.4),

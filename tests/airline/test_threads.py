@@ -6,14 +6,13 @@ import multiprocessing
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airline import AirLine
 from airline.kernels.threads import MOST, ThreadTeam
 
 
-@settings(deadline=None)  # the first time, the waiting is compiled
 @given(threads=st.integers(-1, 9), count=st.integers(0, 1000), least=st.integers(1, 300))
 def test_every_piece_is_done_once_and_in_order(threads: int, count: int, least: int) -> None:
     parts = ThreadTeam(threads).map_range(count, least, lambda start, end: list(range(start, end)))

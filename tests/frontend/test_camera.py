@@ -51,7 +51,7 @@ def test_every_pixel_survives_the_round_trip(lens: str) -> None:
 
 @pytest.mark.parametrize("lens", LENSES)
 @given(points=st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)), min_size=1, max_size=20))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_plane_survives_the_round_trip_and_agrees_with_opencv(lens: str, points: list[tuple[float, float]]) -> None:
     model, plane = camera(lens), np.array(points)
     pixels = model.project(plane)
@@ -69,7 +69,7 @@ def test_the_plane_survives_the_round_trip_and_agrees_with_opencv(lens: str, poi
     y=st.floats(-1.5, 1.5),
 )
 @example(k1=-0.125, k2=-0.125, p1=0.0, p2=-0.00390625, k3=0.0, x=-0.9375, y=0.0)  # beyond what the radial part reaches
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_radial_tangential_is_inverted_or_refused(k1, k2, p1, p2, k3, x, y):
     model = CameraModel(640, 480, 400, 400, 320, 240, "radial-tangential", np.array([k1, k2, p1, p2, k3]))
     plane = np.array([x, y])
@@ -87,7 +87,7 @@ def test_radial_tangential_is_inverted_or_refused(k1, k2, p1, p2, k3, x, y):
 
 
 @given(st.lists(st.floats(-0.1, 0.1), min_size=4, max_size=4), st.floats(0, 1.5), st.floats(-np.pi, np.pi))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_equidistant_is_inverted_or_refused(coefficients: list[float], angle: float, turn: float) -> None:
     model = CameraModel(640, 480, 200, 200, 320, 240, "equidistant", np.array(coefficients))
     pixel = model.project(np.tan(angle) * np.array([np.cos(turn), np.sin(turn)]))

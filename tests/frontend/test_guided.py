@@ -31,7 +31,7 @@ def across(line: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (points - line[0]) @ [-delta[1], delta[0]]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(0, 2 * np.pi), st.floats(-2, 2), st.floats(-2, 2), st.floats(30, 110))
 def test_a_line_that_moved_is_measured_where_it_is(angle, first, last, length):
     ahead = np.array([np.cos(angle), np.sin(angle)])
@@ -101,7 +101,7 @@ def runs(lengths: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
     return pieces, edge_map(pieces)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.integers(2, 24), min_size=1, max_size=8), st.booleans())
 @example([20, 4, 20], False)
 @example([20, 8, 20], True)

@@ -167,7 +167,7 @@ FRAMES = st.lists(st.tuples(st.integers(0, 6), st.randoms(use_true_random=False)
 
 
 @given(frames=FRAMES, max_frames=st.integers(1, 5), max_tracks=st.integers(1, 12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_bounds_hold_and_the_latest_is_kept(frames: list, max_frames: int, max_tracks: int) -> None:
     history = TrackHistory(max_frames, max_tracks)
     seen: dict[int, list[int]] = defaultdict(list)
@@ -213,7 +213,7 @@ def assert_complete(stream: list[LineTracks]) -> None:
 
 
 @given(frames=FRAMES, confirm_hits=st.integers(1, 4), resets=st.sets(st.integers(0, 39), max_size=2))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_confirmation_hands_over_all_that_was_seen_before(frames: list, confirm_hits: int, resets: set[int]) -> None:
     hits: dict[int, int] = defaultdict(int)
     live: list[int] = []

@@ -50,7 +50,7 @@ def random_tracks(rng: np.random.Generator, count: int) -> LineTracks:
 
 
 @given(st.integers(0, 10**6), st.integers(0, 120), st.integers(1, 150))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_never_more_than_asked_for_and_confirmed_ones_first(seed: int, count: int, most: int) -> None:
     tracks = random_tracks(np.random.default_rng(seed), count)
     rows = chosen(tracks, most, tracks.ids[::3])
@@ -61,7 +61,7 @@ def test_never_more_than_asked_for_and_confirmed_ones_first(seed: int, count: in
 
 
 @given(st.integers(0, 10**6), st.integers(1, 100))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_cell_has_its_first_line_before_any_has_its_second(seed: int, most: int) -> None:
     rng = np.random.default_rng(seed)
     places = np.concatenate([rng.uniform((0, 0), SIZE, (60, 2)), rng.uniform((200, 100), (260, 180), (60, 2))])

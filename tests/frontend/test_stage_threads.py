@@ -60,7 +60,7 @@ def source(length: int, delays_ms: list[int], fails_at: int | None) -> Iterator[
 DELAYS = st.lists(st.integers(0, 3), min_size=1, max_size=5)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     length=st.integers(0, 14),
     delays=st.lists(DELAYS, min_size=6, max_size=6),

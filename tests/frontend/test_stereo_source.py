@@ -47,7 +47,7 @@ moments = st.lists(
 
 
 @given(moments=moments, given_gap=st.booleans(), offset=st.integers(-STEP // 20, STEP // 20))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_all_pairs_that_exist(moments: list[tuple[bool, bool, int, int]], given_gap: bool, offset: int) -> None:
     steady = [(True, True, 0, 0)] * 3 if not given_gap else []  # that tell the period
     times = [k * STEP for k in range(len(steady + moments))]
@@ -75,7 +75,7 @@ def test_all_pairs_that_exist(moments: list[tuple[bool, bool, int, int]], given_
     step=st.sampled_from([1, 11]),
     jitter=st.lists(st.integers(-5, 5), min_size=25, max_size=25),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_any_times(left: set[int], right: set[int], step: int, jitter: list[int]) -> None:
     """One to one, within the gap, in order; and where each camera's frames are farther apart than twice the gap, no two
     that are left over are a pair, and nobody is nearer who was left."""

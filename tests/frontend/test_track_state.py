@@ -114,7 +114,7 @@ def test_lines_in_space_are_learned_and_their_errors_known(seed):
     assert 0.7 < normalised.mean() < 1.8, "and so are errors of depth"
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seeds)
 def test_prediction_is_the_projection_and_its_covariance_that_of_the_linearised_one(seed):
     segments, depths, covariances = random_states(seed)
@@ -161,7 +161,7 @@ def test_flow_tells_depths_unless_it_is_of_something_else():
     assert unchanged[0, 2, 2] == pytest.approx(start[0, 2, 2] + DEPTH_WALK**2)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_update_is_the_kalman_update(seed):
     """Against the textbook, with the errors of a measured line carried to where the ends of the state are."""
@@ -195,7 +195,7 @@ def test_update_is_the_kalman_update(seed):
         assert np.allclose(smaller[n], (np.eye(4) - K @ H) @ covariances[n], atol=1e-6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds, st.floats(-0.5, 0.4), st.floats(0.6, 1.5))
 def test_ends_slide_along_the_line_and_back(seed, low, high):
     segments, depths, covariances = random_states(seed)
@@ -212,7 +212,7 @@ def test_ends_slide_along_the_line_and_back(seed, low, high):
         assert np.allclose(before, after, atol=1e-6 * np.abs(before).max())
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds, st.floats(2, 6))
 def test_errors_stay_positive_where_ends_come_back_from_far_away(seed, power):
     """The table keeps float32, which of large errors leaves nothing of what belongs to the middle."""
@@ -225,7 +225,7 @@ def test_errors_stay_positive_where_ends_come_back_from_far_away(seed, power):
     assert (np.linalg.eigvalsh(near[:, 2:, 2:]) > 0).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_ends_and_offset_with_angle_are_two_names_of_one_error(seed):
     rng = np.random.default_rng(seed)

@@ -207,7 +207,7 @@ def test_a_scene_cut_ends_all_tracks():
     assert tracker.update(frame(4, seed=9), second).reset is None
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(2, 10))
 def test_promises_on_random_lines(seed, frames):
     rng = np.random.default_rng(seed)

@@ -81,7 +81,7 @@ def test_a_second_ctrl_c_is_no_traceback(long_clip: Path, tmp_path: Path) -> Non
             run.send_signal(signal.SIGINT)
             time.sleep(0.003)
         _, said = run.communicate(timeout=30)
-    assert run.returncode == 130
+    assert run.returncode in (130, -signal.SIGINT)  # a shell shows 130 for both: the last may find Python gone
     # a signal that lands in a weak reference's callback is swallowed and printed by Python itself
     said = re.sub(r"Exception ignored in.*?KeyboardInterrupt: ?\n", "", said, flags=re.DOTALL)
     assert "Traceback" not in said

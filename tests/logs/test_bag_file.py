@@ -217,7 +217,7 @@ def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
 
 
 @given(place=st.floats(0, 1), noise=st.binary(min_size=1, max_size=60), cut=st.booleans())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_arbitrary_damage_never_raises_anything_else(tmp_path, place, noise, cut, small_bags):
     for number, whole in enumerate(small_bags):
         data = bytearray(whole)

@@ -154,7 +154,7 @@ size = st.one_of(st.integers(-2, 12), st.integers(-(2**40), 2**40))
 
 
 @given(size, size, st.sampled_from([*RAW, "", "32FC1"]), size, st.booleans(), st.binary(max_size=300))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_raw_image(w: int, h: int, encoding: str, step: int, big_endian: bool, data: bytes) -> None:
     tracemalloc.start()
     try:

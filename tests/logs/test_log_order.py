@@ -110,20 +110,24 @@ def test_delays_of_all_sorts_are_sorted(seed: int, delay: str) -> None:
 
 @given(
     late=st.lists(st.integers(0, WINDOW), min_size=1, max_size=50),
+    dropped=st.sets(st.integers(3, 49)),
     uniform=st.booleans(),
     random=st.randoms(use_true_random=False),
 )
-@settings(max_examples=400, deadline=None)
-def test_any_order_within_the_window_comes_out_sorted(late: list[int], uniform: bool, random: Random) -> None:
-    arrival = sorted(range(len(late)), key=lambda k: (k + late[k], random.random()))
+@settings(max_examples=400)
+def test_any_order_within_the_window_comes_out_sorted(
+    late: list[int], dropped: set[int], uniform: bool, random: Random
+) -> None:
+    there = [k for k in range(len(late)) if k not in dropped]
+    arrival = sorted(there, key=lambda k: (k + late[k], random.random()))
     jitter = [random.randint(-STEP // 20, STEP // 20) for _ in late]
     stamps = [EPOCH + number * STEP + jitter[number] for number in arrival]
-    logged = [EPOCH + k * STEP for k in range(len(late))]  # arrivals at a steady rate, or as they were sent
+    logged = [EPOCH + k * STEP for k in range(len(arrival))]  # arrivals at a steady rate, or as they were sent
     if not uniform:
-        logged = [max(stamps[: k + 1]) + 10**6 + k for k in range(len(late))]
+        logged = [max(stamps[: k + 1]) + 10**6 + k for k in range(len(arrival))]
     found, refused, _ = ordered(stamps, logged)
     assert [entry.stamp_ns for entry in found] == sorted(stamps)
-    assert [entry.number for entry in found] == list(range(len(late)))
+    assert [entry.number for entry in found] == list(range(len(arrival)))
     assert not refused
 
 
@@ -133,7 +137,7 @@ def test_any_order_within_the_window_comes_out_sorted(late: list[int], uniform: 
     back=st.floats(1.05, 80),
     random=st.randoms(use_true_random=False),
 )
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_a_clock_that_steps_back_keeps_the_order(before: int, behind: int, back: float, random: Random) -> None:
     true = [EPOCH + k * STEP for k in range(before + behind)]
     stamps = [time - (int(back * STEP) if k >= before else 0) for k, time in enumerate(true)]
@@ -144,7 +148,7 @@ def test_a_clock_that_steps_back_keeps_the_order(before: int, behind: int, back:
 
 
 @given(st.lists(st.integers(-(2**62), 2**64) | st.integers(EPOCH, EPOCH + 30 * STEP), max_size=60))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_no_message_is_lost_or_made(stamps: list[int]) -> None:
     found, refused, _ = ordered(stamps, [EPOCH + k for k in range(len(stamps))])
     assert sorted([*(int(entry.record.data) for entry in found), *refused]) == list(range(len(stamps)))

@@ -84,7 +84,7 @@ def times_of(moments: list[tuple[str, int, int]]) -> Times:
 
 @pytest.mark.parametrize("kind", ["MCAP", "ROS 1", "ROS 2"])
 @given(moments=orders)
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_all_pairs_that_exist_and_counts_that_add_up(
     tmp_path_factory: pytest.TempPathFactory, kind: str, moments: list[tuple[str, int, int]]
 ) -> None:

@@ -94,7 +94,7 @@ def test_parts_of_the_index_are_missing(tmp_path, open_log, options, caplog):
     start_ns=st.none() | st.integers(-1, 14),
     summary=st.booleans(),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_order_of_time_across_chunks(tmp_path_factory, times, start_ns, summary):
     path = tmp_path_factory.mktemp("order") / "a.mcap"
     numbers = iter(range(99))

@@ -77,7 +77,7 @@ def test_everything_is_kept(tmp_path: Path, options: dict[str, Any], capsys: pyt
     changes=st.lists(st.tuples(st.floats(0.1, 1, exclude_max=True), st.binary(min_size=1, max_size=9)), max_size=3),
     cut=st.floats(0.3, 1),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_copies_of_damaged_logs_are_clean(tmp_path_factory, changes, cut):
     path = tmp_path_factory.getbasetemp() / "mutated.mcap"
     data = bytearray(write_all(path, use_chunking=bool(changes)).read_bytes())  # outside chunks there is no CRC

@@ -88,7 +88,7 @@ def write(stream: list[LineTracks], path: Path) -> Path:
 
 
 @pytest.mark.parametrize("there_and_back", FORMATS)
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(streams())
 def test_odd_streams_come_back_exactly(there_and_back: Callable, tmp_path: Path, stream: list[LineTracks]) -> None:
     assert_all_same(there_and_back(stream, tmp_path), stream)
@@ -108,7 +108,7 @@ def test_every_float32_survives_json(value: float) -> None:
 
 
 @pytest.mark.parametrize("there_and_back", FORMATS)
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(streams())
 def test_what_is_derived_is_what_it_was(there_and_back: Callable, tmp_path: Path, stream: list[LineTracks]) -> None:
     """Also the columns of the file itself, made for many frames at once: null where the object has None."""

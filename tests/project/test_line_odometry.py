@@ -32,7 +32,7 @@ from tests.project.test_examples import example, said
 
 FOCAL = 500.0
 KITTI = ROOT.parent / "shared" / "data" / "kitti_clip"
-SOME = settings(deadline=None, max_examples=25)
+SOME = settings(max_examples=25)
 
 
 def seen_as(ids, ends, noise_px=0.3):
