@@ -28,7 +28,7 @@ from frontend.evaluation.space import distances, image_lines
 from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Truth, longest_pieces, owners
 from frontend.frame import Frame
 from frontend.sources.scene import frame_of
-from frontend.stereo.disparity import disparities, in_metres
+from frontend.stereo.disparity import detection_errors, disparities, in_metres, own_covariances
 from frontend.stereo.partners import PartnerFinder
 from frontend.tracker import LineTracker
 from frontend.tracks import LineTracks
@@ -157,7 +157,9 @@ class Plain:
         right = np.append(others, np.full((1, 2, 2), np.nan, np.float32), axis=0)[partner]
         turned = np.einsum("nc,nc->n", lines[:, 1] - lines[:, 0], right[:, 1] - right[:, 0]) < 0
         right[turned] = right[turned, ::-1]
-        both = lines, end_errors(lines), right, end_errors(right)
+        errors = end_errors(lines)
+        spread = detection_errors(lines, errors, right, end_errors(right))
+        both = lines, errors, right, errors + own_covariances(lines, right, spread)
         disparity, covariances, known = disparities(*both, frame.camera.disparity_offset)
         points, _ = in_metres(*both, known, frame.camera)
         return Pairs(tracked.ids, lines, right, disparity, covariances, known, points, ms)

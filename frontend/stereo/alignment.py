@@ -2,7 +2,8 @@
 
 Lucas and Kanade's method (1981) along the rows, in two unknowns per line, the disparities of its ends: Gauss and
 Newton's steps on the grey levels around the line, with Tukey's weights for what is hidden or moves on its own, and with
-the two detected lines as a prior; depths change little along short lines.
+the two detected lines as a prior; depths change little along short lines. How far a disparity errs is what the slopes
+and differences of the grey levels say: the inverse of the last normal equations.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 
 from airline.kernels.compiled import njit
 from frontend.camera.model import CameraModel
-from frontend.stereo.disparity import disparities
+from frontend.stereo.disparity import detection_errors, disparities, own_covariances
 
 ACROSS = np.arange(-3.0, 4.0)  # px from the line
 SPACING, LEAST, MOST = 6.0, 6, 16  # px between stations along the line, and how many it has
 STEPS = 2
 REACH = 30.0  # grey levels: what differs by more shows something else
-NOISE = 8.0  # grey levels, standard deviation of what does not, for a sample; neighbours err alike
+NOISE = 6.0  # grey levels, standard deviation of what does not, for a sample
+LEAST_NOISE, ALIKE = 2.0, 12.0  # the same as a line shows it, and how many samples err alike
+ERRORS, FLOOR = 1.4, 0.09  # of variances beyond that, and px that nothing takes away, as measured on rendered pairs
 SLOPE, LEAST_BEND = 1.0, 0.05  # of inverse depth along a line as long as the focal length, in its own unit; and px
 FARTHEST = 2.0  # px that a disparity may change
 
@@ -32,7 +35,7 @@ def aligned(
     left: tuple[Float32, Float32],
     right: tuple[Float32, Float32],
     camera: CameraModel,
-) -> tuple[Float32, Array]:
+) -> tuple[Float32, Float32, Array]:
     """Right lines, moved along their rows to where the images agree with them and with each other.
 
     Args:
@@ -42,29 +45,35 @@ def aligned(
         camera: of the pair, or a guess of one.
 
     Returns:
-        (N, 2, 2) float32 px, and (N, 2) px disparities of the left ends; lines along the rows are not moved, and have
-        none.
+        (N, 2, 2) float32 px, their (N, 2, 2) covariances, and (N, 2) px disparities of the left ends; lines along the
+        rows are as they were, and have none.
     """
-    (segments, _), (others, _) = left, right
-    before, covariances, _ = disparities(*left, *right, camera.disparity_offset)
+    (segments, ours), (others, errors) = left, right
+    before, prior = disparities(*left, *right, camera.disparity_offset)[0], detection_errors(*left, *right)
     rows = np.flatnonzero(np.isfinite(before).all(axis=1))
-    ends, theirs, known = segments[rows].astype(np.float64), others[rows], before[rows].astype(np.float64)
+    ends, theirs, known, spread = (
+        segments[rows].astype(np.float64),
+        others[rows],
+        before[rows].astype(np.float64),
+        prior[rows],
+    )
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     bend = SLOPE * np.abs(known.mean(axis=1) - camera.disparity_offset) * length / camera.fx + LEAST_BEND
-    found = known.copy()
-    _align(*images, ends, found, np.linalg.inv(covariances[rows].astype(np.float64)), 1 / bend**2, *gain)
-    far = np.abs(found - known).max(axis=1) > FARTHEST
-    found[far] = known[far]
+    found, found_spread = known.copy(), np.empty_like(spread)
+    _align(*images, ends, found, np.linalg.inv(spread), 1 / bend**2, *gain, found_spread)
+    near = np.abs(found - known).max(axis=1) <= FARTHEST
+    found, spread = np.where(near[:, None], found, known), np.where(near[:, None, None], found_spread, spread)
     shift, tall = known - found, ends[:, 1:, 1] - ends[:, :1, 1]
     along = (theirs[..., 1] - ends[:, :1, 1]) / tall
-    moved, ends_disparity = others.copy(), np.full(before.shape, np.nan)
+    moved, errors, ends_disparity = others.copy(), errors.copy(), np.full(before.shape, np.nan)
     moved[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
+    errors[rows] = ours[rows] + own_covariances(segments[rows], moved[rows], spread)
     ends_disparity[rows] = found
-    return moved, ends_disparity
+    return moved, errors, ends_disparity
 
 
 @njit()
-def _align(image, other, segments, found, information, bends, gain, lift):  # type: ignore[no-untyped-def]
+def _align(image, other, segments, found, information, bends, gain, lift, spread):  # type: ignore[no-untyped-def]
     most = MOST * len(ACROSS)
     x, y, s, here, slope = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for i in range(len(segments)):
@@ -81,27 +90,36 @@ def _align(image, other, segments, found, information, bends, gain, lift):  # ty
                 here[count], slope[count] = _level_and_slope(image, x[count], y[count])
                 count += 1
         first, last = found[i]
-        weight_of_sample = 1 / NOISE**2
-        for _ in range(STEPS):
-            h00, h01, h11 = information[i, 0, 0], information[i, 0, 1], information[i, 1, 1]
-            bend = bends[i]
-            g0 = h00 * (first - found[i, 0]) + h01 * (last - found[i, 1]) + bend * (first - last)
-            g1 = h01 * (first - found[i, 0]) + h11 * (last - found[i, 1]) - bend * (first - last)
-            h00, h01, h11 = h00 + bend, h01 - bend, h11 + bend
+        p00, p01, p11 = information[i, 0, 0], information[i, 0, 1], information[i, 1, 1]
+        prior0, prior1 = p00 * first + p01 * last, p01 * first + p11 * last
+        p00, p01, p11 = p00 + bends[i], p01 - bends[i], p11 + bends[i]
+        for step in range(STEPS + 1):
+            h00, h01, h11, g0, g1, weights, squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(count):
                 at = x[k] - first - s[k] * (last - first)
                 there, other_slope = _level_and_slope(other, at, y[k])
                 error = lift + gain * there - here[k]
                 if abs(error) >= REACH:
                     continue
-                weight = (1 - (error / REACH) ** 2) ** 2 * weight_of_sample
+                weight = (1 - (error / REACH) ** 2) ** 2
                 change = -0.5 * (gain * other_slope + slope[k])  # of both, as in symmetric alignment
                 h00 += weight * change * change * (1 - s[k]) ** 2
                 h01 += weight * change * change * s[k] * (1 - s[k])
                 h11 += weight * change * change * s[k] ** 2
                 g0 += weight * change * error * (1 - s[k])
                 g1 += weight * change * error * s[k]
+                weights += weight
+                squares += weight * error * error
+            ended = step == STEPS
+            noise = ALIKE * max(squares / max(weights, 1e-9), LEAST_NOISE**2) if ended else NOISE**2
+            h00, h01, h11 = h00 / noise + p00, h01 / noise + p01, h11 / noise + p11
             det = h00 * h11 - h01 * h01
+            if ended:
+                spread[i, 0, 0], spread[i, 1, 1] = ERRORS * h11 / det + FLOOR**2, ERRORS * h00 / det + FLOOR**2
+                spread[i, 0, 1] = spread[i, 1, 0] = FLOOR**2 - ERRORS * h01 / det
+                break
+            g0 = g0 / noise + p00 * first + p01 * last - prior0
+            g1 = g1 / noise + p01 * first + p11 * last - prior1
             first -= min(max((h11 * g0 - h01 * g1) / det, -1.0), 1.0)
             last -= min(max((h00 * g1 - h01 * g0) / det, -1.0), 1.0)
         found[i, 0], found[i, 1] = first, last

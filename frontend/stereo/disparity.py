@@ -6,8 +6,9 @@ left line's end point (x, y) and the right line's x' in the same row, the dispar
 
     (o' + t' a') / u'_y - (o + t a) / u_y
 
-Two views of one edge have the same texture beside it and the same bias, so most of their errors are common (`ALIKE`).
-At infinity the disparity is `CameraModel.disparity_offset`; Z = fx baseline / (disparity - offset).
+Two views of one edge have the same texture beside it and the same bias: the right line errs as the left one does, and
+by something of its own on top, the difference of their covariances. At infinity the disparity is
+`CameraModel.disparity_offset`; Z = fx baseline / (disparity - offset).
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from frontend.camera.model import CameraModel
 
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
-MAX_ERROR = 1.0  # px, standard deviation of a disparity that tells a depth,
+MAX_ERROR = 0.8  # px, standard deviation of a disparity that tells a depth,
+OWN = 0.3  # of the variances of a detected line, that its partner's errors do not share
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
-ALIKE = 0.8  # correlation of the errors of both views, as measured on rendered pairs
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -36,7 +37,8 @@ def disparities(
 
     Args:
         left, right: (N, 2, 2) px, in the same directions; NaN where there is no right line.
-        left_covariances, right_covariances: (N, 2, 2) of (offset at the middle, px; angle, radians).
+        left_covariances, right_covariances: (N, 2, 2) of (offset at the middle, px; angle, radians); the latter are
+            the larger ones.
         offset: disparity of points at infinity, px.
 
     Returns:
@@ -51,6 +53,33 @@ def disparities(
     spread = np.sqrt(np.maximum(np.einsum("nkk->nk", covariances), 0))
     known = ((spread <= MAX_ERROR) & (disparity - offset > MIN_RATIO * spread)).all(axis=1)  # false for NaN
     return disparity.astype(np.float32), covariances.astype(np.float32), known
+
+
+@_quiet
+def detection_errors(left: Float32, left_covariances: Float32, right: Float32, right_covariances: Float32) -> Array:
+    """(N, 2, 2) px^2, covariances of disparities of the left ends if both lines were detected, each on its own.
+
+    Args:
+        left, right: as of `disparities`.
+        left_covariances, right_covariances: (N, 2, 2) of each, most of which both have in common.
+    """
+    jacobian = _jacobian(_along_rows(left, left[..., 1]), _along_rows(right, left[..., 1]))
+    ours, theirs = jacobian[:, :2, :2], jacobian[:, 2:, 2:]
+    errors = ours @ left_covariances @ ours.transpose(0, 2, 1) + theirs @ right_covariances @ theirs.transpose(0, 2, 1)
+    return np.asarray(OWN * errors)
+
+
+@_quiet
+def own_covariances(left: Float32, right: Float32, errors: Array) -> Float32:
+    """(N, 2, 2) float32 covariances that right lines have on top of the left ones', for errors of disparities.
+
+    Args:
+        left, right: as of `disparities`.
+        errors: (N, 2, 2) px^2, covariances of the disparities of the left ends.
+    """
+    jacobian = _jacobian(_along_rows(left, left[..., 1]), _along_rows(right, left[..., 1]))
+    inverse = np.linalg.inv(jacobian[:, 2:, 2:])
+    return (inverse @ errors @ inverse.transpose(0, 2, 1)).astype(np.float32)
 
 
 @_quiet
@@ -112,9 +141,5 @@ def _jacobian(left: tuple[Array, Array, Array], right: tuple[Array, Array, Array
 
 
 def _both(left: Float32, right: Float32) -> Array:
-    """(N, 4, 4) covariances of two views of a line, whose errors are alike."""
-    errors = np.zeros((len(left), 4, 4))
-    errors[:, :2, :2], errors[:, 2:, 2:] = left, right
-    for k in range(2):
-        errors[:, k, 2 + k] = errors[:, 2 + k, k] = ALIKE * np.sqrt(errors[:, k, k] * errors[:, 2 + k, 2 + k])
-    return errors
+    """(N, 4, 4) covariances of two views of a line, of which the right one errs as the left one, and more."""
+    return np.asarray(np.block([[left, left], [left, right]]), np.float64)

@@ -12,7 +12,7 @@ from airline.image import to_uint8
 from airline.trace import Trace
 from frontend.frame import Frame
 from frontend.stereo.alignment import aligned
-from frontend.stereo.choice import APART, NEAREST, choose
+from frontend.stereo.choice import APART, NEAREST, agreeing, choose
 from frontend.stereo.votes import partner_votes
 from frontend.tracking.appearance import side_profiles
 from frontend.tracking.guided import MAX_BAND, SHORTEST, measure
@@ -109,11 +109,9 @@ class PartnerFinder:
         )
         partners.spans[rows] = np.sort(spans[rows, chosen[rows]], axis=1)
         _measure(partners, ours, tracks.ages <= YOUNG, right.edges, images[1])
+        left = tracks.observed_px, tracks.observed_covariances
         errors = with_bias(partners.errors, np.zeros(len(tracks), np.float32))
-
-        segments, ends = aligned(
-            images, gain, (tracks.observed_px, tracks.observed_covariances), (partners.segments, errors), camera
-        )
+        segments, errors, ends = aligned(images, gain, left, (partners.segments, errors), camera)
         spans = np.where(np.isnan(ends), partners.spans, np.sort(ends, axis=1))
         hits = np.where(partners.found, hits + 1, 0).astype(np.int32)
         self._ids, self._hits, self._spans = tracks.ids, hits, np.where(partners.found[:, None], spans, np.nan)
@@ -185,8 +183,10 @@ def _guesses(
     away = np.linalg.norm(middles[new, None] - middles[found], axis=2)
     near = np.sort(middle[found][np.argsort(away, axis=1, kind="stable")[:, :NEAREST]], axis=1)
     another = np.diff(near, axis=1, prepend=-np.inf) > APART
-    rows = np.concatenate([missed, np.repeat(new, another.sum(axis=1))])
-    return rows, np.concatenate([middle[missed], near[another]]).astype(np.float32)
+    rows = np.repeat(new, another.sum(axis=1))
+    likely = agreeing(near[another], middles[rows], middle[found], middles[found])
+    rows = np.concatenate([missed, rows[likely]])
+    return rows, np.concatenate([middle[missed], near[another][likely]]).astype(np.float32)
 
 
 def _gain(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from frontend.evaluation.nearest_on_rows import nearest_on_rows
 from frontend.evaluation.stereo import Pairs, PairTruth, first_pair_scores, partner_scores, rest_scores
 from frontend.evaluation.truth import longest_pieces, owners
 from frontend.sources.scene import frame_of
-from frontend.stereo.disparity import ALIKE, disparities, in_metres
+from frontend.stereo.disparity import disparities, in_metres
 from tests.helpers.data_sets import write_posed
 
 CLIP = RenderedClip("indoor", "handheld", 3, 60)
@@ -37,7 +37,7 @@ def truths() -> list[PairTruth]:
 def of_lines(ids, left, right) -> Pairs:
     """With what the lines tell of disparities and distances."""
     covariances, camera = np.tile(ERRORS, (len(ids), 1, 1)), frame_of(0, *views()[0]).camera
-    lines = left.astype(np.float32), covariances, right.astype(np.float32), covariances
+    lines = left.astype(np.float32), covariances, right.astype(np.float32), 1.25 * covariances
     disparity, variances, known = disparities(*lines, 0.0)
     points, _ = in_metres(*lines, known, camera)
     return Pairs(ids, lines[0], lines[2], disparity, variances, known, points, 0.0)
@@ -115,8 +115,7 @@ def test_honest_noise_is_called_so(factor):
 
     def noisy(pairs):
         left, own = factor * rng.multivariate_normal((0, 0), ERRORS, (2, len(pairs.ids)))
-        right = ALIKE * left + np.sqrt(1 - ALIKE**2) * own
-        return of_lines(pairs.ids, moved(pairs.left, left), moved(pairs.right, right))
+        return of_lines(pairs.ids, moved(pairs.left, left), moved(pairs.right, left + 0.5 * own))
 
     run = [noisy(pairs) for pairs in perfect() for _ in range(3)]
     figures = partner_scores(run, [truth for truth in truths() for _ in range(3)])

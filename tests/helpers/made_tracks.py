@@ -100,9 +100,8 @@ def made_tracks(
     for name in ("covariances", "observed_covariances"):
         arrays[name][:, 1, 0] = arrays[name][:, 0, 1]
     if right:
-        for name in ("observed_covariances", "right_covariances"):
-            arrays[name] *= 1e-6
-        arrays["right_covariances"][:, 1, 0] = arrays["right_covariances"][:, 0, 1]
+        arrays["observed_covariances"] *= 1e-6
+        arrays["right_covariances"] = np.float32(1.25) * arrays["observed_covariances"]
         arrays["right_px"] = arrays["observed_px"] - np.float32([1, 0]) * rng.uniform(2, 40, (len(ids), 1, 1))
         arrays["right_px"] = arrays["right_px"].astype(np.float32)
         alone = np.arange(len(ids)) % 3 == 1
