@@ -7,7 +7,7 @@ WHEEL := .venvs/wheel/bin
 LOWEST := .venvs/lowest
 AUDIT := .venvs/audit/bin
 
-.PHONY: demo test lint types unit fuzz soak licences test-wheel test-lowest audit clean
+.PHONY: demo test lint types unit fuzz slow soak licences test-wheel test-lowest audit clean
 
 # the built-in clip through the whole pipeline into a recording
 demo: .venv/installed
@@ -32,6 +32,10 @@ unit: .venv/installed
 fuzz: .venv/installed
 	$(BIN)/python -m pytest --hypothesis-profile search -m hypothesis
 	$(BIN)/python -m tests.helpers.fuzz 2>/dev/null
+
+# what takes a minute and rarely breaks: everything compiled anew, workers of Ray that are killed
+slow: .venv/installed
+	$(BIN)/python -m pytest -m slow
 
 # 50,000 frames through the whole pipeline, half an hour and more
 soak: .venv/installed

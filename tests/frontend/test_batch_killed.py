@@ -87,7 +87,7 @@ def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp
     assert visible(out) == {"a"}
     assert ends(worker)
     assert report_of(out).keys() == {"a", "b", "c"}
-    assert start(inputs, out, stdout=subprocess.DEVNULL).wait(120) == 0
+    assert start(inputs, out, "--workers", 1, stdout=subprocess.DEVNULL).wait(120) == 0
     assert visible(out) == {"a", "b", "c"}
     assert not list(out.glob(".*.unfinished-*"))
     rows = report_of(out)
@@ -95,6 +95,7 @@ def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp
     assert rows["b"]["frames"] == LONG_FRAMES
 
 
+@pytest.mark.slow
 def test_on_ray_killed_workers_cost_no_recording(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One recording loses its worker once, another one always; Ray runs in the batch's process tree alone."""
     pytest.importorskip("ray", reason="Ray is not installed")

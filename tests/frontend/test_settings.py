@@ -19,7 +19,7 @@ from frontend.cli.settings import InputConfig, RunConfig, dump, load
 from tests.helpers.command import command
 
 CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much]  # many values contradict each other
-in_one_folder = settings(max_examples=40, suppress_health_check=CHECKS)
+in_one_folder = settings(max_examples=15, suppress_health_check=CHECKS)
 SIZES = st.integers(16, 9999)
 STRINGS = {
     "resize": st.one_of(SIZES.map(str), st.tuples(SIZES, SIZES).map(lambda size: f"{size[0]}x{size[1]}")),

@@ -33,9 +33,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.usefixtures("short_built_in_clip")
 @pytest.mark.filterwarnings("default")  # as readers have it
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_everything_on_the_page_runs(
-    page: Path, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_everything_on_the_page_runs(page: Path, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(inputs, tmp_path / "work")
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
