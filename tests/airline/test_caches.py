@@ -138,6 +138,7 @@ for image in numpy.load("images.npy"):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(vector_instructions() is None, reason="needs a processor with AVX2")
 def test_edges_are_the_same_bits_with_a_cold_and_a_warm_cache(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (6, 240, 320)).astype(np.float32)

@@ -19,7 +19,7 @@ from frontend.cli.settings import InputConfig, RunConfig, dump, load
 from tests.helpers.command import command
 
 CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much]  # many values contradict each other
-in_one_folder = settings(max_examples=15, suppress_health_check=CHECKS)
+in_one_folder = settings(max_examples=40, suppress_health_check=CHECKS)
 SIZES = st.integers(16, 9999)
 STRINGS = {
     "resize": st.one_of(SIZES.map(str), st.tuples(SIZES, SIZES).map(lambda size: f"{size[0]}x{size[1]}")),
@@ -71,8 +71,10 @@ def value_at(tree: Any, path: tuple[str, ...]) -> Any:
     return tree
 
 
-# any part of the settings
-parts = st.fixed_dictionaries({}, optional={path: values(path[-1], hint) for path, hint in LEAVES})
+# any few of the settings: the more of them, the more often they contradict each other
+parts = st.sets(st.sampled_from(range(len(LEAVES))), max_size=8).flatmap(
+    lambda some: st.fixed_dictionaries({path: values(path[-1], hint) for path, hint in (LEAVES[k] for k in some)})
+)
 
 
 def write(folder: Path, text: str) -> Path:

@@ -65,7 +65,7 @@ ELSEWHERE = {*SCORED, "10_line_odometry"}  # in `test_line_odometry`
 
 @pytest.mark.parametrize("stem", [stem for stem in EXAMPLES if stem not in ELSEWHERE])
 def test_runs(stem, short_built_in_clip, tmp_path):
-    assert len(said(stem, tmp_path, *SHORT.get(stem, ())).splitlines()) > 5
+    assert len(said(stem, tmp_path, *SHORT.get(stem, ())).splitlines()) >= 5
 
 
 @pytest.mark.parametrize("stem", SCORED)
