@@ -25,7 +25,7 @@ types: .venv/installed
 	$(BIN)/mypy
 
 unit: .venv/installed
-	$(BIN)/python -m pytest --numprocesses logical --dist loadfile --max-worker-restart 0
+	$(BIN)/python -m pytest --numprocesses logical --dist worksteal --max-worker-restart 0
 
 # damaged and hostile input for every reader of files and messages, and property tests on other inputs than `make test`
 # has: 280,000 inputs, some minutes
@@ -69,7 +69,7 @@ test-lowest:
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/torch.txt
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/requirements.txt
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
-	$(LOWEST)/bin/python -m pytest --numprocesses logical --dist loadfile \
+	$(LOWEST)/bin/python -m pytest --numprocesses logical --dist worksteal \
 		-W ignore::DeprecationWarning $(TESTS)
 
 # known faults of the versions in constraints.txt; fails, too, where the list of faults cannot be asked
