@@ -94,6 +94,16 @@ def test_a_batch_that_is_killed_leaves_nothing_half_done(inputs: list[Path], tmp
     assert rows["b"]["frames"] == LONG_FRAMES
 
 
+def test_a_batch_runs_on_ray(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed")
+    monkeypatch.setenv("HOME", str(tmp_path))  # Ray keeps a token there
+    (tmp_path / "broken.mcap").write_bytes(b"broken")
+    logs, out = [camera_log(tmp_path / "a.mcap", clip), tmp_path / "broken.mcap"], tmp_path / "out"
+    assert start(logs, out, "--ray", "local", stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).wait(120) == 1
+    assert {name: row["status"] for name, row in report_of(out).items()} == {"a": "done", "broken": "failed"}
+    assert visible(out) == {"a"}
+
+
 @pytest.mark.slow
 def test_on_ray_killed_workers_cost_no_recording(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One recording loses its worker once, another one always; Ray runs in the batch's process tree alone."""
