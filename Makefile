@@ -7,7 +7,7 @@ WHEEL := .venvs/wheel/bin
 LOWEST := .venvs/lowest
 AUDIT := .venvs/audit/bin
 
-.PHONY: demo test lint types unit fuzz soak licences test-wheel test-lowest audit clean
+.PHONY: demo test lint types unit fuzz slow soak licences test-wheel test-lowest audit clean
 
 # the built-in clip through the whole pipeline into a recording
 demo: .venv/installed
@@ -25,13 +25,17 @@ types: .venv/installed
 	$(BIN)/mypy
 
 unit: .venv/installed
-	$(BIN)/python -m pytest --numprocesses logical --dist loadfile --max-worker-restart 0
+	$(BIN)/python -m pytest --numprocesses logical --dist worksteal --max-worker-restart 0
 
 # damaged and hostile input for every reader of files and messages, and property tests on other inputs than `make test`
 # has: 280,000 inputs, some minutes
 fuzz: .venv/installed
 	$(BIN)/python -m pytest --hypothesis-profile search -m hypothesis
 	$(BIN)/python -m tests.helpers.fuzz 2>/dev/null
+
+# what takes a minute and rarely breaks: everything compiled anew, workers of Ray that are killed
+slow: .venv/installed
+	$(BIN)/python -m pytest -m slow
 
 # 50,000 frames through the whole pipeline, half an hour and more
 soak: .venv/installed
@@ -65,7 +69,7 @@ test-lowest:
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/torch.txt
 	$(LOWEST)/bin/python -m pip install --quiet --requirement $(LOWEST)/requirements.txt
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
-	$(LOWEST)/bin/python -m pytest --numprocesses logical --dist loadfile \
+	$(LOWEST)/bin/python -m pytest --numprocesses logical --dist worksteal \
 		-W ignore::DeprecationWarning $(TESTS)
 
 # known faults of the versions in constraints.txt; fails, too, where the list of faults cannot be asked

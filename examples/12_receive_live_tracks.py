@@ -51,6 +51,7 @@ try:
 except zmq.Again:
     sys.exit(f"nothing came from {address}")
 finally:
+    socket.close()
     if publisher is not None:
         publisher.terminate()
         publisher.communicate()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,22 @@ def scene() -> np.ndarray:
 
     image: np.ndarray = RenderedClip(seed=12, frames=300).render(0).image[:, :, 1]
     return image
+
+
+@pytest.fixture(scope="session")
+def _start_of_the_built_in_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from airline.scenes import render_pairs
+    from frontend.sources.scene import built_in_clip, write_clip
+
+    video = tmp_path_factory.mktemp("clip") / "corridor.mp4"
+    write_clip(islice(render_pairs(built_in_clip()), 8), video)
+    return video
+
+
+@pytest.fixture
+def short_built_in_clip(_start_of_the_built_in_clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The built-in clip has 8 frames instead of 300, within this process."""
+    monkeypatch.setattr("frontend.sources.scene.CLIP", _start_of_the_built_in_clip)
 
 
 @pytest.fixture

@@ -121,7 +121,7 @@ def test_damaged_files_are_compiled_anew(tmp_path: Path, part: float) -> None:
 def test_processes_share_a_cold_cache(tmp_path: Path) -> None:
     (tmp_path / "kernel.py").write_text(KERNEL)
     cache = str(tmp_path / "cache")
-    processes = [start(tmp_path, USE.format(then=""), NUMBA_CACHE_DIR=cache) for _ in range(4)]
+    processes = [start(tmp_path, USE.format(then=""), NUMBA_CACHE_DIR=cache) for _ in range(2)]
     for process in processes:
         with process:
             _, err = process.communicate(timeout=120)
@@ -138,9 +138,10 @@ for image in numpy.load("images.npy"):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(vector_instructions() is None, reason="needs a processor with AVX2")
 def test_edges_are_the_same_bits_with_a_cold_and_a_warm_cache(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (12, 480, 640)).astype(np.float32)
+    noise = np.random.default_rng(0).integers(0, 256, (6, 240, 320)).astype(np.float32)
     smooth = [cv2.GaussianBlur(image, (0, 0), 1 + k / 3) for k, image in enumerate(noise)]
     images = [cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8) for image in smooth]
     np.save(tmp_path / "images.npy", images)
@@ -150,5 +151,5 @@ def test_edges_are_the_same_bits_with_a_cold_and_a_warm_cache(tmp_path: Path) ->
             out, err = process.communicate(timeout=300)
         assert process.returncode == 0, err
         digests.append(out.split())
-    assert len(set(digests[0])) == 12
+    assert len(set(digests[0])) == 6
     assert digests[0] == digests[1]

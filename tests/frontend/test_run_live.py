@@ -19,14 +19,13 @@ from airline.errors import InputError
 from frontend.cli.settings import RunConfig
 from frontend.frame import Frame
 from frontend.run import process
+from tests.helpers.batch_logs import long_folder
 from tests.helpers.command import EVERY_FRAME, ROOT, python, read_screen, recorded
-from tests.helpers.live_camera import pictures
 from tests.helpers.sources import Listed
-from tests.helpers.videos import write_video
 from viz.rerun_sink import RerunSink
 
 CLIP_FRAMES = 8
-VIDEO_FRAMES = 6000
+LONG_FRAMES = 2000
 PERIOD_NS = 33_333_333
 
 
@@ -68,16 +67,11 @@ def test_a_reader_that_leaves_is_no_traceback(clip: Path) -> None:
     assert (done.stdout, done.stderr) == ("141\n", "")
 
 
-@pytest.fixture(scope="module")
-def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    images = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in pictures(40)] * (VIDEO_FRAMES // 40)
-    return write_video(tmp_path_factory.mktemp("video") / "long.avi", images)
-
-
-def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> None:
+def test_interrupt_keeps_everything_so_far(clip: Path, tmp_path: Path) -> None:
     save = tmp_path / "run.rrd"
+    long = long_folder(tmp_path / "long", clip, LONG_FRAMES)
     flags = ["--save", save, "--summary", tmp_path / "run.json"]
-    with python(long_video, *flags, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+    with python(long, *flags, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         deadline = time.monotonic() + 60
         while not save.exists() or save.stat().st_size < 100_000:
             assert child.poll() is None
@@ -90,7 +84,7 @@ def test_interrupt_keeps_everything_so_far(long_video: Path, tmp_path: Path) -> 
     assert "rerun" in out
     frames = json.loads((tmp_path / "run.json").read_text())["frames"]
     assert re.search(rf"frames +. {frames} ", out)
-    assert 0 < frames < VIDEO_FRAMES
+    assert 0 < frames < LONG_FRAMES
     rows = recorded(save)
     for path in EVERY_FRAME:  # the frame at hand may be recorded in part
         assert rows[path]["frame"] in (list(range(frames)), list(range(frames + 1)))

@@ -71,8 +71,10 @@ def value_at(tree: Any, path: tuple[str, ...]) -> Any:
     return tree
 
 
-# any part of the settings
-parts = st.fixed_dictionaries({}, optional={path: values(path[-1], hint) for path, hint in LEAVES})
+# any few of the settings: the more of them, the more often they contradict each other
+parts = st.sets(st.sampled_from(range(len(LEAVES))), max_size=8).flatmap(
+    lambda some: st.fixed_dictionaries({path: values(path[-1], hint) for path, hint in (LEAVES[k] for k in some)})
+)
 
 
 def write(folder: Path, text: str) -> Path:

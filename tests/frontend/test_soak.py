@@ -18,15 +18,15 @@ from tests.helpers.soak import Endurance, trend
 
 def test_a_short_soak_holds_out(clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "soak.json"
-    flags = ["--frames", "300", "--size", "160x120", "--preset", "fast", "--per-file", "70", "--files", "2"]
+    flags = ["--frames", "120", "--size", "160x120", "--preset", "fast", "--per-file", "28", "--files", "2"]
     code = soak.main([str(clip), *flags, "--folder", str(tmp_path), "--json", str(out)])
     figures = json.loads(out.read_text())
     # over so few frames the process may still grow to its size
     assert [fault for fault in figures["faults"] if not fault.startswith(("memory grew", "the time per"))] == []
     assert code == (1 if figures["faults"] else 0)
-    assert (figures["frames"], figures["files"]) == (300, 5)
+    assert (figures["frames"], figures["files"]) == (120, 5)
     assert figures["tracks"] > 10
-    assert len(figures["samples"]["memory_mb"]) == 60
+    assert len(figures["samples"]["memory_mb"]) == 24
     assert {path.name for path in tmp_path.iterdir()} == {
         *(f"soak-{k}.{s}" for k in (0, 1) for s in ("mcap", "rrd")),
         out.name,

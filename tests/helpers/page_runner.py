@@ -1,4 +1,4 @@
-"""Runs the code blocks of a page in the present folder: `python -m tests.helpers.page_runner PAGE`.
+"""Runs the code blocks of a page in the present folder.
 
 `python -m MODULE` runs inside this process, which loads everything once; all else goes to a shell. The Python blocks of
 a page share their names, as a reader's session does.
@@ -7,7 +7,6 @@ a page share their names, as a reader's session does.
 from __future__ import annotations
 
 import io
-import os
 import re
 import runpy
 import shlex
@@ -126,11 +125,3 @@ def run_page(page: str) -> list[str]:
             if failure is not None:
                 failures.append(f"line {number}: {text.strip()}\n{failure}")
     return failures
-
-
-if __name__ == "__main__":
-    os.environ.pop("DISPLAY", None)
-    os.environ.pop("WAYLAND_DISPLAY", None)
-    found = run_page(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    print("\n".join(found))
-    sys.exit(min(len(found), 100))

@@ -88,7 +88,7 @@ def write(stream: list[LineTracks], path: Path) -> Path:
 
 
 @pytest.mark.parametrize("there_and_back", FORMATS)
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(streams())
 def test_odd_streams_come_back_exactly(there_and_back: Callable, tmp_path: Path, stream: list[LineTracks]) -> None:
     assert_all_same(there_and_back(stream, tmp_path), stream)

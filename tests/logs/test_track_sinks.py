@@ -169,7 +169,7 @@ def test_a_journal_cut_anywhere(tmp_path, caplog):
     results = clip_results()
     whole, ends = clip_journal(tmp_path / "t.parquet")
     cut, out = tmp_path / "c.parquet.unfinished", tmp_path / "c.parquet"
-    sizes = np.random.default_rng(0).integers(ends[1], len(whole), 25).tolist()
+    sizes = np.random.default_rng(0).integers(ends[1], len(whole), 10).tolist()
     for size in [*sizes, *ends[2:]]:
         cut.write_bytes(whole[:size])
         frames = sum(end <= size for end in ends[1:])
@@ -201,40 +201,43 @@ from logs.sinks import output
 from logs.sinks.open import open_track_sink
 from logs.sinks.tables import finish_journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+stream = expected(500)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
 output.FLUSH_S = 0.0
-count = 0
-try:
-    if sys.argv[1].endswith(".unfinished"):
-        finish_journal(Path(sys.argv[1]), Path(sys.argv[1]).with_suffix(""))
-    sink = open_track_sink(sys.argv[1])
-    for tracks in expected(500):
+for path in sys.argv[2:]:
+  count = 0
+  try:
+    if path.endswith(".unfinished"):
+        finish_journal(Path(path), Path(path).with_suffix(""))
+    sink = open_track_sink(path)
+    for tracks in stream:
         sink.write(result_of(tracks))
         count += 1
-except InputError as error:
+  except InputError as error:
     print(count, error)
     if count: sink.close()
 """
 
 
-def written_until_full(path: Path, room: int) -> tuple[int, str]:
-    """How many frames a process wrote that may fill files up to so many bytes, and its error."""
-    command = [sys.executable, "-c", LIMITED, str(path), str(room)]
+def written_until_full(room: int, *paths: Path) -> list[tuple[int, str]]:
+    """Of each: how many frames a process wrote that may fill files up to so many bytes, and its error."""
+    command = [sys.executable, "-c", LIMITED, str(room), *map(str, paths)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stderr) == (0, "")
-    count, message = done.stdout.strip().split(maxsplit=1)
-    return int(count), message
+    said = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
+    return [(int(count), message) for count, message in said]
 
 
-@pytest.mark.parametrize("name", ["all.mcap", "all.parquet", "all.csv", "plvins.mcap", "all.bag"])
-def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
-    count, message = written_until_full(tmp_path / name, 100_000)
-    assert name in message
-    assert "too large" in message
-    if name in ("all.mcap", "all.parquet"):
-        found = list(read_tracks(tmp_path / (name if name == "all.mcap" else name + ".unfinished")))
-        assert len(found) > count - 3
-        assert_all_same(found, expected(len(found)))
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):
+    names = ["all.mcap", "all.parquet", "all.csv", "plvins.mcap", "all.bag"]
+    ends = written_until_full(100_000, *(tmp_path / name for name in names))
+    for name, (count, message) in zip(names, ends, strict=True):
+        assert name in message
+        assert "too large" in message
+        if name in ("all.mcap", "all.parquet"):
+            found = list(read_tracks(tmp_path / (name if name == "all.mcap" else name + ".unfinished")))
+            assert len(found) > count - 3
+            assert_all_same(found, expected(len(found)))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
@@ -248,7 +251,7 @@ def test_no_room_for_the_parquet_file_leaves_the_journal(tmp_path):
     journal = tmp_path / "t.parquet.unfinished"
     journal.write_bytes(clip_journal(tmp_path / "whole.parquet")[0])
     (tmp_path / "whole.parquet").unlink()
-    _, message = written_until_full(journal, 500)
+    ((_, message),) = written_until_full(500, journal)
     assert message.startswith(f"cannot write '{tmp_path}/t.parquet'")
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet.unfinished"]
 

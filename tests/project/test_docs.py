@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 from tests.helpers.page_inputs import prepare
-from tests.helpers.page_runner import run_command, run_python
+from tests.helpers.page_runner import run_command, run_page, run_python
 from tests.helpers.pages import PAGES, ROOT, PageError, anchors_of, blocks_of, links_of
 
 LINKING = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "airline" / "network" / "weights" / "README.md"]
@@ -30,15 +30,18 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("short_built_in_clip")
+@pytest.mark.filterwarnings("default")  # as readers have it
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_everything_on_the_page_runs(page: Path, inputs: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "work"
-    shutil.copytree(inputs, folder)
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path, "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-m", "tests.helpers.page_runner", str(page)]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, f"{name_of(page)}:\n{done.stdout}{done.stderr}"
+def test_everything_on_the_page_runs(page: Path, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(inputs, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
+    assert run_page(page.read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize("page", LINKING, ids=name_of)

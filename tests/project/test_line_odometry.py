@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import gtsam
@@ -13,17 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from airline.scenes import RenderedClip, render_clip
+from airline.scenes import RenderedClip
 from frontend import CameraModel, LineTracks
-from frontend.sources.scene import frame_of
-from line_odometry.clips import LSD, OURS, TRUE_LINES, Frontends, rendered
+from line_odometry.clips import LSD, OURS, TRUE_LINES, Seen, rendered
 from line_odometry.images import line_errors
 from line_odometry.odometry import LineOdometry
 from line_odometry.pose import errors_at, pose_from_map
 from line_odometry.residual import factor, line_marks
 from line_odometry.score import TrueLines, align, mapped
 from line_odometry.smoother import Smoother
-from line_odometry.triangulation import _slopes, map_lines, triangulate, triangulate_points
+from line_odometry.triangulation import _slopes, triangulate, triangulate_points
 from line_odometry.views import Lines, Points, View, both_cameras, gather, take
 from tests.helpers.command import ROOT
 from tests.helpers.data_sets import write_posed
@@ -209,15 +209,16 @@ def test_a_line_that_no_view_tells_apart_is_not_known():
     assert triangulate(gather(views, least=3), poses).spread[0] > 0.2
 
 
+@cache
+def truth(motion: str = "handheld") -> Seen:
+    """Of a rendered clip: its true lines as tracks, with flow points."""
+    return rendered(RenderedClip(seed=5, frames=70, size=(320, 240), motion=motion), [TRUE_LINES])
+
+
 def tracks_of_truth(frames: int, motion: str = "handheld") -> tuple[list[LineTracks], np.ndarray, float]:
-    """Of a rendered clip: its true lines as tracks, with flow points, the poses, the focal length."""
-    clip = RenderedClip(seed=5, frames=frames, size=(320, 240), motion=motion)
-    frontends = Frontends([TRUE_LINES])
-    poses = []
-    for index, view in enumerate(render_clip(clip)):
-        frontends.look(frame_of(index, view), view)
-        poses.append(view.pose[:3])
-    return frontends.tracks[TRUE_LINES], np.array(poses), clip.K[0, 0]
+    """The first frames of it, their poses, the focal length."""
+    seen = truth(motion)
+    return seen.tracks[TRUE_LINES][:frames], seen.poses[:frames], seen.focal
 
 
 def run(tracks: list[LineTracks], focal: float, points: bool = False) -> LineOdometry:
@@ -246,13 +247,13 @@ def test_true_lines_give_the_true_path_and_lost_poses_are_regained():
 
 
 def test_another_map_begins_where_nothing_is_known_any_more():
-    tracks, poses, focal = tracks_of_truth(80)
+    tracks, poses, focal = tracks_of_truth(70)
     later = 1 + max(int(one.ids.max()) for one in tracks), 1 + max(int(one.point_ids.max()) for one in tracks)
-    for k in range(40, 80):  # as behind a reset of the tracker: all ids are new
+    for k in range(35, 70):  # as behind a reset of the tracker: all ids are new
         tracks[k] = replace(tracks[k], ids=tracks[k].ids + later[0], point_ids=tracks[k].point_ids + later[1])
     odometry = run(tracks, focal)
     assert len(odometry.begun) == 2
-    assert odometry.begun[1] >= 40
+    assert odometry.begun[1] >= 35
     second = odometry.trajectory()[odometry.begun[1] - odometry.first :]
     assert align(second, poses[odometry.begun[1] :]).ate_percent < 0.5  # by itself: its scale is another
 
@@ -336,18 +337,6 @@ def test_a_camera_at_rest_has_no_path():
     assert "not moved" in odometry.waits
 
 
-def test_our_lines_give_path_and_map():
-    seen = rendered(RenderedClip(kind="indoor", motion="handheld", seed=12, frames=60), [OURS, TRUE_LINES])
-    odometry = run(seen.tracks[OURS], seen.focal)
-    path = align(odometry.trajectory(), seen.poses[odometry.first :])
-    assert max(path.ate_percent, path.rotation_deg) < 0.5
-    views = {name: [View.of(one).lines for one in tracks] for name, tracks in seen.tracks.items()}
-    length, precision = mapped(map_lines(views[OURS], seen.poses, seen.focal)[1], seen.lines)
-    best, _ = mapped(map_lines(views[TRUE_LINES], seen.poses, seen.focal)[1], seen.lines)
-    assert best > length > 40
-    assert precision > 75
-
-
 def test_our_lines_of_a_rendered_pair_give_metres():
     clip = RenderedClip(kind="indoor", motion="handheld", seed=12, frames=12, size=(320, 240))
     seen = rendered(clip, [OURS, TRUE_LINES], stereo=True)
@@ -380,14 +369,18 @@ def figures_of(folder: Path, *arguments: object) -> tuple[dict[str, dict[str, fl
     return json.loads((folder / "figures.json").read_text()), printed
 
 
-def test_the_command_writes_what_it_prints(tmp_path):
+def test_our_lines_give_path_and_map_and_the_command_writes_what_it_prints(tmp_path):
     figures, printed = figures_of(tmp_path, "--frames", "60", "--baselines")
     assert figures.keys() == {OURS, LSD, TRUE_LINES}
     for row in figures.values():
         assert {"ate_percent", "rotation_deg", "mapped_length_percent", "mapped_precision_percent"} <= row.keys()
         error = row["ate_percent"]
         assert error is None or f"{error:.3f}".rstrip("0").rstrip(".") in printed
-    assert figures[TRUE_LINES]["ate_percent"] < figures[OURS]["ate_percent"] < 1
+    ours, best = figures[OURS], figures[TRUE_LINES]
+    assert best["ate_percent"] < ours["ate_percent"] < 0.5
+    assert ours["rotation_deg"] < 0.5
+    assert best["mapped_length_percent"] > ours["mapped_length_percent"] > 40
+    assert ours["mapped_precision_percent"] > 75
 
 
 def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
@@ -402,11 +395,9 @@ def test_a_clip_with_too_little_motion_has_a_map_but_no_path(tmp_path):
     "arguments",
     [
         (),
-        ("--slice", "0:26"),
         ("--slice", "0:26", "--stereo"),
         ("--slice", "50:24:-1"),
         ("--max-lines", "20", "--points"),
-        ("--max-lines", "40", "--points"),
     ],
 )
 def test_a_drive_on_a_street(tmp_path, arguments):
@@ -417,5 +408,5 @@ def test_a_drive_on_a_street(tmp_path, arguments):
 
 def test_a_folder_that_is_no_clip_is_one_line(tmp_path):
     done = example("10_line_odometry", tmp_path, "--clip", "nowhere")
-    assert done.returncode == 1
-    assert len(done.stderr.splitlines()) == 1
+    assert done.code == 1
+    assert len(done.err.splitlines()) == 1

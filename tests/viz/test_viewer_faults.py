@@ -31,10 +31,13 @@ from viz.viewer import open_viewer, start, stop
 needs_rerun = pytest.mark.skipif(not RERUN.exists(), reason="Rerun's programs are not installed beside this Python")
 
 
+LONG_FRAMES = 200
+
+
 @pytest.fixture
 def long_clip(clip: Path, tmp_path: Path) -> Path:
     """The clip, over and over, for several seconds."""
-    return long_folder(tmp_path / "long", clip, 320)
+    return long_folder(tmp_path / "long", clip, LONG_FRAMES)
 
 
 @contextmanager
@@ -120,7 +123,7 @@ def test_a_viewer_that_fails_in_the_middle(long_clip, tmp_path, sign):
     assert err.count("\n") == 1, err
     assert "lost the Rerun viewer" in err
     assert f"saved {path}" in out
-    assert frames_in(path) == list(range(320))
+    assert frames_in(path) == list(range(LONG_FRAMES))
 
 
 @needs_rerun
