@@ -305,24 +305,10 @@ def _parsed(text: str) -> Any:
 def _yaml(text: str) -> Any:
     """Deeply nested YAML is refused, and so are anchors, with which a short text can stand for gigabytes."""
     from ruamel.yaml import YAML
-    from ruamel.yaml.composer import Composer
     from ruamel.yaml.constructor import SafeConstructor
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent, DocumentEndEvent
     from ruamel.yaml.nodes import MappingNode, SequenceNode
-
-    class Guarded(Composer):
-        depth = 0
-
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            anchor = getattr(self.parser.peek_event(), "anchor", None)
-            if anchor is not None:
-                raise InputError(f"it has the YAML anchor '{anchor}': write its value out instead")
-            if self.depth > _MAX_DEPTH:
-                raise InputError(f"it is nested deeper than {_MAX_DEPTH} levels")
-            self.depth += 1
-            node = super().compose_node(parent, index)
-            self.depth -= 1
-            return node
 
     class Plain(SafeConstructor):
         """What has a tag of its own, or would become a date, is read as if it had none."""
@@ -334,9 +320,17 @@ def _yaml(text: str) -> Any:
 
     for tag in (None, "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:binary"):
         Plain.add_constructor(tag, Plain.plain)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Composer, yaml.Constructor = Guarded, Plain
+    yaml, depth = YAML(typ="safe", pure=True), 0
+    yaml.Constructor = Plain
     try:
+        for event in yaml.parse(text):
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if getattr(event, "anchor", None) is not None:
+                raise InputError(f"it has the YAML anchor '{event.anchor}': write its value out instead")
+            if depth > _MAX_DEPTH:
+                raise InputError(f"it is nested deeper than {_MAX_DEPTH} levels")
+            if isinstance(event, DocumentEndEvent):
+                break
         return next(yaml.load_all(text), None)
     except (YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:  # the parser's slips, too
         problem = (getattr(error, "problem", None) or str(error)).partition("\n")[0]
