@@ -38,40 +38,18 @@ def build_parser() -> Parser:
         prog="python -m frontend.evaluate",
         description="Measure the line tracker against known identities, beside nearest neighbour and optical flow.",
     )
-    parser.add_argument(
-        "--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the tables show"
-    )
-    parser.add_argument("--photos", type=Path, metavar="DIR", help="also photographs of a folder, moved and degraded")
-    parser.add_argument("--icl", type=Path, metavar="DIR", help="also frames with labelled lines and associations")
-    parser.add_argument(
-        "--posed",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="DIR",
-        help="also clips with poses, of KITTI, ICL-NUIM, TUM",
-    )
-    parser.add_argument(
-        "--match",
-        type=Path,
-        nargs="*",
-        metavar="DIR",
-        help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
-    )
-    parser.add_argument(
-        "--stereo",
-        type=Path,
-        nargs="*",
-        metavar="DIR",
-        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest",
-    )
-    parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
-    parser.add_argument(
-        "--worst",
-        type=Path,
-        metavar="DIR",
-        help="draw the ten tracks least like a line in space, where poses are known",
-    )
+    add = parser.add_argument
+    folders: dict[str, Any] = {"type": Path, "metavar": "DIR"}
+    add("--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the tables show")
+    add("--photos", **folders, help="also photographs of a folder, moved and degraded")
+    add("--icl", **folders, help="also frames with labelled lines and associations")
+    add("--posed", nargs="+", default=[], **folders, help="also clips with poses, of KITTI, ICL-NUIM, TUM")
+    match = "instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N"
+    add("--match", nargs="*", **folders, help=match)
+    stereo = "instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest"
+    add("--stereo", nargs="*", **folders, help=stereo)
+    add("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
+    add("--worst", **folders, help="draw the ten tracks least like a line in space, where poses are known")
     parser.add_json()
     return parser
 
@@ -88,6 +66,7 @@ def run(options: argparse.Namespace) -> None:
         AirLineError: an argument or file cannot be used.
     """
     from airline.detector import AirLine
+    from frontend.evaluation import report
     from frontend.evaluation.accuracy import accuracy, jitter
     from frontend.evaluation.coverage import coverage
     from frontend.evaluation.metrics import identity_scores
@@ -117,63 +96,46 @@ def run(options: argparse.Namespace) -> None:
             runs = follow(islice(folder, options.limit), detect, advance)[1]
         posed[folder.name] = in_space(folder, runs)
         _draw_worst(options, folder, folder, runs)
-    _show(sequences, accurate, posed)
-    write_json(options.json, {"sequences": sequences, "accuracy": accurate, "posed": posed})
+    figures = {"sequences": sequences, "accuracy": accurate, "posed": posed}
+    report.show(figures, report.LEGEND)
+    write_json(options.json, figures)
 
 
 def _match(options: argparse.Namespace) -> None:
-    from rich.console import Console
-
     from frontend.evaluation import report
     from frontend.evaluation.matches import match_figures
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Any] = {"matches": {}}
     for folder in options.match or [None]:
-        figures |= match_figures(folder)
-    console = Console()
-    console.print(report.table("Pairs of lines of two images", figures, report.MATCHES))
-    console.print(report.MATCH_LEGEND)
-    write_json(options.json, {"matches": figures})
+        figures["matches"] |= match_figures(folder)
+    report.show(figures, report.MATCH_LEGEND)
+    write_json(options.json, figures)
 
 
 def _stereo(options: argparse.Namespace) -> None:
-    from rich.console import Console
-
     from airline.detector import AirLine
     from frontend.evaluation import report, stereo
     from frontend.evaluation.posed import PosedClip
     from frontend.sources import open_stereo
 
     detect = AirLine()
-    partners: dict[str, Any] = {}
-    first: dict[str, Any] = {}
-    rest: dict[str, Any] = {}
+    figures: dict[str, dict[str, Any]] = {"partners": {}, "first_pairs": {}, "at_rest": {}}
     clips = stereo.rendered_pairs()
     for name in [] if options.stereo else _named(options, list(clips)):
-        clip = clips[name]
         truths: list[stereo.PairTruth] = []
-        with progress(name, min(len(clip), options.limit or len(clip))) as advance:
-            runs = stereo.follow(stereo.frames_of(clip, options.limit, truths), detect, advance)
-        partners[name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
+        with progress(name, min(len(clips[name]), options.limit or len(clips[name]))) as advance:
+            runs = stereo.follow(stereo.frames_of(clips[name], options.limit, truths), detect, advance)
+        figures["partners"][name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
     for folder in options.stereo:
         posed = PosedClip(folder) if (folder / "poses.txt").is_file() else None
         with closing(open_stereo(folder)) as source, progress(source.name, source.frame_count) as advance:
             runs = stereo.follow(islice(source, options.limit), detect, advance)
-        if posed is None:
-            rest[source.name] = {kind: stereo.rest_scores(run) for kind, run in runs.items()}
-        else:
-            first[source.name] = {kind: stereo.first_pair_scores(run, posed) for kind, run in runs.items()}
-    console = Console()
-    if partners:
-        console.print(report.table("Partners in the right image", partners, report.PARTNERS))
-        console.print(report.table("Their disparities", partners, report.DISPARITIES))
-        console.print(report.table("Error of distances, %", partners, report.BY_DISTANCE))
-    if first:
-        console.print(report.table("Lines from a first pair", first, report.FIRST_PAIRS))
-    if rest:
-        console.print(report.table("Upright lines at rest", rest, report.AT_REST))
-    console.print(report.STEREO_LEGEND)
-    write_json(options.json, {"partners": partners, "first_pairs": first, "at_rest": rest})
+        figures["first_pairs" if posed else "at_rest"][source.name] = {
+            kind: stereo.first_pair_scores(run, posed) if posed else stereo.rest_scores(run)
+            for kind, run in runs.items()
+        }
+    report.show(figures, report.STEREO_LEGEND)
+    write_json(options.json, figures)
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
@@ -291,25 +253,6 @@ def _draw_worst(options: argparse.Namespace, clip: Posed, frames: Iterable[Frame
         worst = fitted(collect(runs["ours"].tracked), clip)[:WORST]
         if worst:
             write_strips(options.worst / f"{clip.name}.png", draw_strips(islice(frames, options.limit), worst))
-
-
-def _show(sequences: dict[str, Any], accurate: dict[str, Any], posed: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    from frontend.evaluation import report
-
-    console = Console()
-    if sequences:
-        console.print(report.table("Identities", sequences, report.IDENTITIES))
-        console.print(report.table("Tracks", sequences, report.LIVES))
-        console.print(report.table("True lines and the tracks that cover them", sequences, report.COVERAGE))
-        console.print(report.table("Jitter of end points, px", sequences, report.JITTER))
-        console.print(report.table("Lines against the truth", accurate, report.ACCURACY))
-    if posed:
-        console.print(report.table("Tracks that are one line in space", posed, report.CONSISTENT))
-        console.print(report.table("The same by length of line, %", posed, report.BY_LENGTH))
-        console.print(report.table("The same by frames, %", posed, report.BY_FRAMES))
-    console.print(report.LEGEND)
 
 
 if __name__ == "__main__":

@@ -20,9 +20,8 @@ P, R: precision and recall of links, %. A link is a track seen in two
 IDF1: one track for each true line and one true line for each track, %.
 switch: changes of a true line's track per 100 frames; frag: those of them
   after frames in which the true line was not tracked.
-length, med: frames in which a track was seen, mean and median. pure: mean
-  frames of a track on the true line that it was on most. of: mean frames in
-  which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
+length, med: frames in which a track was seen, mean and median. of: mean frames
+  in which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
 visible: mean frames in which 15 px of a true line or more could be seen, of
   lines seen so in 5 frames and detected in one; covered: those of them in
   which the track that was on it most was on it; share: both as sums, %; all:
@@ -32,17 +31,17 @@ visible: mean frames in which 15 px of a true line or more could be seen, of
 jitter: end points against the true line, about the true motion; rms.
 Lines against the truth: of tracks seen in 4 frames and more. observed:
   detected and measured. across: end points from the true infinite line, px,
-  rms and what 68 % are below; along: from the true ends, rms and median.
+  rms and what 68 % are below; along: from the true ends, rms.
   offset, angle: error over the standard deviation that the tracker gives,
   what 68 % are below and the rms with errors cut at 3: 1 where covariances
   are honest.
 One line in space: of tracks seen in 5 frames and more those are good of which
   all end points stay within 2 px of the line in space that fits them. share:
   %; a frame: observations of good tracks over the clip's frames; rms: their
-  end points from that line, px; length: their mean frames; parallax: median
-  of all, deg. fused: the same of the tracker's fused lines; stable: of the
-  observations that it calls so. Below: share of good tracks, and of how many,
-  by the mean length of what was observed and by frames.
+  end points from that line, px; length: their mean frames. fused: the same of
+  the tracker's fused lines; stable: of the observations that it calls so.
+  Below: share of good tracks, and of how many, by the mean length of what was
+  observed and by frames.
 ms: median time of a tracker's update."""
 
 MATCH_LEGEND = """\
@@ -59,12 +58,11 @@ STEREO_LEGEND = """\
 ours: partners of the tracks. plain: LSD in both images, tracks by optical flow,
 and of the lines with the same rows, direction and grey levels the one with the
 least disparity. P: precision of partners whose true lines are known in both
-images, %; wrong: how many are not right; unknown: how many others there are;
-astray: those of them with a known line on the left alone. R: of lines that can
-be seen in both images those with the right partner, %. depth: partners that
-tell how far away both ends are, flat: such along the rows, %. rms, median: of
-the disparity's errors at the ends, px. chi2: mean of their squares over what
-the variances say, chi2 50 %: the same from the median; 1 where these are honest.
+images, %; wrong: how many are not right; unknown: how many others there are.
+R: of lines that can be seen in both images those with the right partner, %.
+depth: partners that tell how far away both ends are, flat: such along the
+rows, %. rms, median: of the disparity's errors at the ends, px. chi2: mean of
+their squares over what the variances say, 1 where these are honest.
 By distance: median error over it, % (ends). Lines from a first pair: of tracks
 seen in 5 frames and more those whose first pair tells their line in space;
 always, usually: it is within 2 px of what was seen in all later frames, in the
@@ -98,7 +96,6 @@ LIVES: Columns = {
     "tracks": _number("tracks", "d"),
     "length": _number("track_length_mean", ".1f"),
     "med": _number("track_length_median", ".0f"),
-    "pure": _number("pure_length_mean", ".1f"),
     "of": _number("visible_length_mean", ".1f"),
     ">=3": _number("alive_3", ".0f", 100),
     ">=5": _number("alive_5", ".0f", 100),
@@ -120,7 +117,6 @@ ACCURACY: Columns = {
     "across": _number("across_px", ".3f"),
     "68 %": _number("across_68_px", ".3f"),
     "along": _number("along_px", ".2f"),
-    "median": _number("along_median_px", ".2f"),
     "offset": _number("offset_68", ".2f"),
     "rms": _number("offset_rms", ".2f"),
     "angle": _number("angle_68", ".2f"),
@@ -143,7 +139,6 @@ CONSISTENT: Columns = {
     "a frame": _number("observations_per_frame", ".1f"),
     "rms": _number("rms_across_px", ".2f"),
     "length": _number("length_mean", ".1f"),
-    "parallax": _number("parallax_deg", ".2f"),
     "ms": _number("ms", ".1f"),
 }
 PARTNERS: Columns = {
@@ -151,7 +146,6 @@ PARTNERS: Columns = {
     "P": _number("precision", ".1f", 100),
     "wrong": _number("wrong", "d"),
     "unknown": _number("unknown", "d"),
-    "astray": _number("astray", "d"),
     "R": _number("recall", ".1f", 100),
     "ms": _number("ms", ".1f"),
 }
@@ -161,7 +155,6 @@ DISPARITIES: Columns = {
     "rms": _number("disparity_rms_px", ".2f"),
     "median": _number("disparity_median_px", ".2f"),
     "chi2": _number("chi2", ".2f"),
-    "chi2 50 %": _number("chi2_median", ".2f"),
 }
 FIRST_PAIRS: Columns = {
     "tracks": _number("tracks", "d"),
@@ -185,7 +178,43 @@ BY_FRAMES: Columns = {name: _group("by_frames", name) for name in FRAMES}
 BY_DISTANCE: Columns = {f"from {low} m": _group("depth", f"{low}", "error", "ends", ".1f") for low in DISTANCES}
 
 
-def table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) -> Table:
+# What the figures of a kind, by clip and tracker, are shown in: title and columns.
+TABLES: Mapping[str, Mapping[str, Columns]] = {
+    "matches": {"Pairs of lines of two images": MATCHES},
+    "partners": {
+        "Partners in the right image": PARTNERS,
+        "Their disparities": DISPARITIES,
+        "Error of distances, %": BY_DISTANCE,
+    },
+    "first_pairs": {"Lines from a first pair": FIRST_PAIRS},
+    "at_rest": {"Upright lines at rest": AT_REST},
+    "sequences": {
+        "Identities": IDENTITIES,
+        "Tracks": LIVES,
+        "True lines and the tracks that cover them": COVERAGE,
+        "Jitter of end points, px": JITTER,
+    },
+    "accuracy": {"Lines against the truth": ACCURACY},
+    "posed": {
+        "Tracks that are one line in space": CONSISTENT,
+        "The same by length of line, %": BY_LENGTH,
+        "The same by frames, %": BY_FRAMES,
+    },
+}
+
+
+def show(figures: Mapping[str, Mapping[str, Mapping[str, Row]]], legend: str) -> None:
+    """Print all tables that have rows: of every kind, by the name of the clip, then of the tracker."""
+    from rich.console import Console
+
+    console = Console()
+    for kind, clips in figures.items():
+        for title, columns in TABLES[kind].items() if clips else ():
+            console.print(_table(title, clips, columns))
+    console.print(legend)
+
+
+def _table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) -> Table:
     """The name of every clip, and a row for each of its trackers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table

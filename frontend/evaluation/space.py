@@ -74,12 +74,6 @@ def distances(segments: Array, lines: Array) -> Array:
     return np.asarray(np.abs(np.einsum("nec,nc->ne", segments, lines[:, :2]) + lines[:, 2:]))
 
 
-def parallax(poses: Array, segments: Array, K: Array) -> float:
-    """Largest angle between the planes of two observations, degrees."""
-    normals = plane_normals(poses, segments, K)
-    return float(np.rad2deg(np.arccos(np.clip(np.abs(normals @ normals.T).min(), 0, 1))))
-
-
 def plane_normals(poses: Array, segments: Array, K: Array) -> Array:
     """(N, 3) unit normals, in the world, of the planes through the camera's centre and the segment."""
     rays = np.pad(segments, ((0, 0), (0, 0), (0, 1)), constant_values=1) @ np.linalg.inv(K).T
