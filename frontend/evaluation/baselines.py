@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import from_extra
+from airline.evaluation.metrics import measure_pairs
 from airline.image import to_gray, to_uint8
-from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from frontend.evaluation.truth import Tracked
 from frontend.frame import Frame
@@ -120,45 +120,12 @@ def nearest_pairs(
     predicted: Segments, lines: Segments, max_distance: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of one-to-one pairs, as many as the gates allow, at the least total cost."""
-    forbidden = 1e3 * (max_distance + OVERLAP_WORTH)
-    costs = _costs(predicted, lines, max_distance, forbidden)
+    distance, overlap, cosine = measure_pairs(predicted, lines)
+    allowed = (distance <= max_distance) & (overlap >= MIN_OVERLAP) & (cosine >= MIN_COSINE)
+    costs = np.where(allowed, distance + OVERLAP_WORTH * (1 - overlap), 1e3 * (max_distance + OVERLAP_WORTH))
     rows, columns = linear_sum_assignment(costs)
-    allowed = costs[rows, columns] < forbidden
-    return rows[allowed], columns[allowed]
-
-
-@njit()
-def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untyped-def]
-    """(N, M) mean distance of the four end points to the other's infinite line, plus the missing share of overlap."""
-    costs = np.full((len(predicted), len(lines)), forbidden)
-    for i in range(len(predicted)):
-        for j in range(len(lines)):
-            distance_i, overlap_i, cosine = _distance_and_overlap(predicted[i], lines[j])
-            if cosine < MIN_COSINE or distance_i > 2 * max_distance:
-                continue
-            distance_j, overlap_j, _ = _distance_and_overlap(lines[j], predicted[i])
-            distance, overlap = 0.5 * (distance_i + distance_j), 0.5 * (overlap_i + overlap_j)
-            if distance <= max_distance and overlap >= MIN_OVERLAP:
-                costs[i, j] = distance + OVERLAP_WORTH * (1 - overlap)
-    return costs
-
-
-@njit()
-def _distance_and_overlap(one, other):  # type: ignore[no-untyped-def]
-    """Mean distance of the ends of one line to another, share of the other that it covers, cosine between both."""
-    ux, uy = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1]
-    vx, vy = one[1, 0] - one[0, 0], one[1, 1] - one[0, 1]
-    length, own_length = np.hypot(ux, uy), np.hypot(vx, vy)
-    if length == 0 or own_length == 0:
-        return np.inf, 0.0, 0.0
-    ux, uy = ux / length, uy / length
-    away, low, high = 0.0, np.inf, -np.inf
-    for k in range(2):
-        x, y = one[k, 0] - other[0, 0], one[k, 1] - other[0, 1]
-        away += 0.5 * abs(y * ux - x * uy)
-        along = min(max((x * ux + y * uy) / length, 0.0), 1.0)
-        low, high = min(low, along), max(high, along)
-    return away, high - low, abs(ux * vx + uy * vy) / own_length
+    kept = allowed[rows, columns]
+    return rows[kept], columns[kept]
 
 
 def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], segments: Segments) -> Segments:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airline.kernels.compiled import njit
-
 RANGE = 0.25  # of the image's width: the largest disparity
 END_ERROR = 0.3  # px, taken for end points
 SLACK, MIN_COMMON, MIN_COSINE, MAX_LEVELS = 1.0, 0.5, float(np.cos(np.deg2rad(10.0))), 20.0
@@ -25,42 +23,27 @@ def nearest_on_rows(
     one to one, least disparities first.
     """
     ours, theirs = (np.where(a[:, :1, 1:] > a[:, 1:, 1:], a[:, ::-1], a).astype(np.float64) for a in (left, right))
-    levels = _levels(ours, left_gray), _levels(theirs, right_gray)
-    return np.asarray(_nearest(ours, theirs, *levels, RANGE * left_gray.shape[1]))
-
-
-@njit()
-def _nearest(ours, theirs, levels, other_levels, most):  # type: ignore[no-untyped-def]
-    shifts = np.full((len(ours), len(theirs)), np.inf)  # in the middle of the rows that both have
-    for i in range(len(ours)):
-        ux, uy = ours[i, 1] - ours[i, 0]
-        for j in range(len(theirs)):
-            vx, vy = theirs[j, 1] - theirs[j, 0]
-            top, bottom = max(ours[i, 0, 1], theirs[j, 0, 1]), min(ours[i, 1, 1], theirs[j, 1, 1])
-            if bottom - top + 2 * SLACK < MIN_COMMON * (min(uy, vy) + 2 * SLACK):
-                continue
-            if abs(ux * vx + uy * vy) < MIN_COSINE * np.hypot(ux, uy) * np.hypot(vx, vy):
-                continue
-            if np.abs(levels[i] - other_levels[j]).max() > MAX_LEVELS:
-                continue
-            shift = _in_row(ours[i], (top + bottom) / 2) - _in_row(theirs[j], (top + bottom) / 2)
-            if 0 <= shift <= most:
-                shifts[i, j] = shift
-    partner, free = np.full(len(ours), -1), np.ones(len(theirs), np.bool_)
-    for k in np.argsort(shifts.ravel()):
-        i, j = divmod(k, len(theirs))
-        if shifts[i, j] == np.inf:
-            break
-        if partner[i] < 0 and free[j]:
-            partner[i], free[j] = j, False
+    levels = _levels(ours, left_gray)[:, None], _levels(theirs, right_gray)
+    ours = ours[:, None]
+    (ux, uy), (vx, vy) = ((a[..., 1, :] - a[..., 0, :]).transpose(2, 0, 1) for a in (ours, theirs[None]))
+    top, bottom = np.maximum(ours[..., 0, 1], theirs[:, 0, 1]), np.minimum(ours[..., 1, 1], theirs[:, 1, 1])
+    shifts = _in_rows(ours, (top + bottom) / 2) - _in_rows(theirs, (top + bottom) / 2)
+    alike = bottom - top + 2 * SLACK >= MIN_COMMON * (np.minimum(uy, vy) + 2 * SLACK)
+    alike &= np.abs(ux * vx + uy * vy) >= MIN_COSINE * np.hypot(ux, uy) * np.hypot(vx, vy)
+    alike &= np.abs(levels[0] - levels[1]).max(axis=2) <= MAX_LEVELS
+    alike &= (shifts >= 0) & (shifts <= RANGE * left_gray.shape[1])
+    partner, free = np.full(len(left), -1), np.ones(len(right), np.bool_)
+    rows, columns = np.nonzero(alike)
+    for k in np.argsort(shifts[alike]):
+        if partner[rows[k]] < 0 and free[columns[k]]:
+            partner[rows[k]], free[columns[k]] = columns[k], False
     return partner
 
 
-@njit()
-def _in_row(line, y):  # type: ignore[no-untyped-def]
-    """X of a line in a row, or of its nearer end."""
-    along = (y - line[0, 1]) / max(line[1, 1] - line[0, 1], 1e-9)
-    return line[0, 0] + min(max(along, 0.0), 1.0) * (line[1, 0] - line[0, 0])
+def _in_rows(lines: Array, y: Array) -> Array:
+    """X of lines in rows, or of their nearer ends."""
+    along = (y - lines[..., 0, 1]) / np.maximum(lines[..., 1, 1] - lines[..., 0, 1], 1e-9)
+    return np.asarray(lines[..., 0, 0] + np.clip(along, 0, 1) * (lines[..., 1, 0] - lines[..., 0, 0]))
 
 
 def _levels(lines: Array, gray: NDArray[np.uint8]) -> Array:
