@@ -6,6 +6,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import PurePath
 from statistics import median
 
@@ -51,7 +52,6 @@ class StereoSource(Source):
     """
 
     name: str
-    live: bool
     unpaired: tuple[int, int]
 
     def __init__(
@@ -72,10 +72,9 @@ class StereoSource(Source):
             left.close()
             right.close()
             raise ConfigError(wrong)
+        self._left, self._right = (FreshFrames(left), FreshFrames(right)) if left.live else (left, right)
         self.name = left.name if name is None else name
-        self.live = left.live
         self.unpaired = 0, 0
-        self._left, self._right = (FreshFrames(left), FreshFrames(right)) if self.live else (left, right)
         self._rectify = _Rectify(rectified)
         self._max_gap_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
         self._steps: list[deque[int]] = [deque(maxlen=_STEPS), deque(maxlen=_STEPS)]
@@ -90,18 +89,6 @@ class StereoSource(Source):
         return min(counts, default=None)
 
     @property
-    def skipped(self) -> int:
-        return self._left.skipped + self._right.skipped
-
-    @property
-    def dropped(self) -> int:
-        return self._left.dropped + self._right.dropped
-
-    @property
-    def reconnects(self) -> int:
-        return self._left.reconnects + self._right.reconnects
-
-    @property
     def kind(self) -> str:
         """Both kinds or names, and how far apart their times may be."""
         left, right = self._left, self._right
@@ -110,14 +97,6 @@ class StereoSource(Source):
         else:
             both = f"pairs of {left.kind} and {right.kind}"
         return f"{both} {'by number' if self._by_number else f'at most {self._gap_ns / 1e6:.3g} ms apart'}"
-
-    @property
-    def codec(self) -> str:
-        return self._left.codec
-
-    @property
-    def orientation(self) -> str:
-        return self._left.orientation
 
     @property
     def calibration(self) -> str | None:
@@ -345,6 +324,17 @@ class _Rectify:
             self._made_for = values
         left_image, right_image = self._rectifier(left.image, image)
         return replace(left, image=left_image, right=right_image, camera=self._rectifier.camera)
+
+
+def _of_both(name: str) -> property:
+    count = attrgetter(name)
+    return property(lambda pair: count(pair._left) + count(pair._right))
+
+
+for _name in ("skipped", "dropped", "reconnects"):
+    setattr(StereoSource, _name, _of_both(_name))
+for _name in ("live", "codec", "orientation"):
+    setattr(StereoSource, _name, property(attrgetter(f"_left.{_name}")))
 
 
 def _apart(left: Frame | None, right: Frame | None) -> float:
