@@ -41,7 +41,7 @@ class MovedPhoto:
         return self.frames
 
     def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
-        lines = _detector()(self.photo).segments
+        lines = airline()(self.photo).segments
         for i, homography in enumerate(smooth_homographies(self.photo.shape[::-1], self.size, self.frames, self.seed)):
             truth = moved_lines(lines, homography, self.size)
             yield Frame(i, round(i * 1_000_000_000 / FRAMES_PER_SECOND), self._image(homography, i)), truth
@@ -134,5 +134,6 @@ def _read(path: Path) -> NDArray[np.uint8]:
 
 
 @cache
-def _detector() -> AirLine:
+def airline() -> AirLine:
+    """The default detector."""
     return AirLine()

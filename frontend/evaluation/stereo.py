@@ -195,13 +195,8 @@ def partner_scores(run: Sequence[Pairs], truths: Sequence[PairTruth]) -> dict[st
     """Figures of a run over pairs with truth, None without anything to count.
 
     Returns:
-        partners: lines with one. precision: of those where both true lines are known, that are the same; wrong:
-        how many are not; unknown: how many others there are. recall: of left lines that can be seen in both
-        images, those with the right one, where that is known; visible: how many there are. depth_known: share
-        of partners; along_rows: of those without a disparity. Of right partners with known depth:
-        disparity_rms_px, disparity_median_px: of the errors at both ends; chi2: their squares over what the
-        covariances say, per degree of freedom, 1 where these are honest. depth: by true distance, m, the median
-        error over it and the number of ends. ms: median time of matching.
+        as `report.STEREO_LEGEND` says, shares in [0, 1]; visible: how many lines can be seen in both images; depth: by
+        true distance, m, the median error over it and the number of ends; ms: median time of matching.
     """
     judged = [_judged(pairs, truth) for pairs, truth in zip(run, truths, strict=True)]
     rows = {name: np.concatenate([one[name] for one in judged]) for name in judged[0]}
@@ -276,9 +271,8 @@ def first_pair_scores(run: Sequence[Pairs], clip: Posed) -> Figures:
         clip: the left camera's poses in these frames, and maybe more.
 
     Returns:
-        tracks: those seen in 5 frames and more of which the first frame tells the depth; of: all seen so often. always,
-        usually: how many are within 2 px (both ends from the infinite line) of what was seen in all later frames, and
-        in the median one; always_share, usually_share: of tracks. ms: median time of matching.
+        of: tracks seen in 5 frames and more; tracks: those of them of which the first frame tells the depth; the others
+        as `report.STEREO_LEGEND` says. ms: median time of matching.
     """
     seen: dict[int, list[tuple[int, int]]] = {}  # frame and row of every observation
     for frame, pairs in enumerate(run):
@@ -309,9 +303,7 @@ def rest_scores(run: Sequence[Pairs]) -> Figures:
     """How steady upright lines (15 degrees from the columns) are in space while the camera rests.
 
     Returns:
-        tracks: those with known depth in half of the pairs and more. length_m, depth_m: medians over these of their
-        medians over the pairs; length_spread, depth_spread: medians of their standard deviations over these, by 1.4826
-        times the median deviation. ms: median time of matching.
+        as `report.STEREO_LEGEND` says, m, and spreads over these. ms: median time of matching.
     """
     measures: dict[int, list[tuple[float, float]]] = {}
     for pairs in run:

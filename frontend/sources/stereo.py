@@ -27,6 +27,7 @@ _STEPS = 31  # of a camera's times, whose median is its period
 _FIRST = 5  # frames of either camera that tell it before the first pair
 _UNPAIRED_LIVE = 60  # frames of live cameras without a pair, after which there will be none
 _PERIOD_NS = 33_333_333  # of a camera, until its second frame is there
+_BEFORE_NS = 10**9  # where the right camera's frames begin before a start: its period is not known yet
 
 
 class StereoSource(Source):
@@ -127,7 +128,7 @@ class StereoSource(Source):
         self._start_ns = first_ns + round(start_s * 1e9)
         self._left.seek(start_s)
         if first_ns or right_ns:  # where images are paired by number, the right one's places are not known
-            self._right.seek(max(0.0, (self._start_ns - self._gap_ns - right_ns) / 1e9))
+            self._right.seek(max(0.0, (self._start_ns - max(self._gap_ns, _BEFORE_NS) - right_ns) / 1e9))
 
     def stop(self) -> None:
         self._left.stop()
@@ -213,9 +214,8 @@ class StereoSource(Source):
     def _gap_ns(self) -> int:
         if self._max_gap_ns is not None:
             return self._max_gap_ns
-        # frames that are missing make any of them longer
-        known = [_mean_step_ns(self._left), _mean_step_ns(self._right), *(median(s) for s in self._steps if s)]
-        return round(min(filter(None, known), default=_PERIOD_NS) / 3)
+        # frames that are missing make either of them longer
+        return round(min((median(steps) for steps in self._steps if steps), default=_PERIOD_NS) / 3)
 
 
 class SideBySide(WrappedSource):
@@ -340,13 +340,6 @@ for _name in ("live", "codec", "orientation"):
 def _apart(left: Frame | None, right: Frame | None) -> float:
     """Nanoseconds between two frames; infinite where one is missing."""
     return float("inf") if left is None or right is None else abs(left.stamp_ns - right.stamp_ns)
-
-
-def _mean_step_ns(source: Source) -> float | None:
-    count, first_ns, last_ns = source.frame_count, source.first_stamp_ns, source.last_stamp_ns
-    if count is None or count < 2 or first_ns is None or last_ns is None:
-        return None
-    return (last_ns - first_ns) / (count - 1)
 
 
 def _number(frame: Frame) -> int | None:
