@@ -60,12 +60,10 @@ class VideoInput:
             self.pipe = self._place = Pipe(spec)
             self._resources.callback(self.pipe.close)
             self._start = self.pipe.start
-        elif kind == "folder":
-            raise InputError(f"{self.title} is a folder, not a video file")
+        elif kind in ("folder", "device"):
+            raise InputError(f"{self.title} is a {kind}, no video file: name one, or send a video through a pipe")
         elif kind in ("missing", "camera"):
             raise InputError(f"there is no video file {self.title}")
-        elif kind == "device":
-            raise InputError(f"{self.title} is a device, no video file: name one, or send a video through a pipe")
         else:
             self._start = kinds.start_of(spec)
             try:

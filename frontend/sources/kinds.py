@@ -193,6 +193,6 @@ def _is_still(start: bytes) -> bool:
         return True
     if start[:2] == b"BM" and int.from_bytes(start[14:18], "little") in (12, 40, 52, 56, 64, 108, 124):
         return True
-    if re.match(rb"P[1-7]\s+(#[^\n]*\n\s*)*(\d|WIDTH)", start):
+    if re.match(rb"P[1-6]\s+(#[^\n]*\n\s*)*\d", start):
         return True
     return start[4:8] == b"ftyp" and start[8:12] in _STILL_BRANDS

@@ -39,12 +39,11 @@ _CODECS: dict[str, tuple[bytes, str, int]] = {
     "GIF": (rb"GIF8[79]a", "PIL.GifImagePlugin:GifImageFile", MOST_PIXELS),
     "TIFF": (rb"II[*+]\0|MM\0[*+]", "PIL.TiffImagePlugin:TiffImageFile", MOST_PIXELS),
     "BMP": (rb"BM.{12}[\x0c\x28\x34\x38\x40\x6c\x7c]", "PIL.BmpImagePlugin:BmpImageFile", 128),
-    "PNM": (rb"P[1-7][\s#]", "PIL.PpmImagePlugin:PpmImageFile", 8),
+    "PNM": (rb"P[1-6][\s#]", "PIL.PpmImagePlugin:PpmImageFile", 8),
     "AVIF": (rb"....ftyp(....)*avi[fs]", "PIL.AvifImagePlugin:AvifImageFile", MOST_PIXELS),
     "HEIC": (rb"....ftyp(....)*(hei[cxms]|hev[cx]|mif1|msf1)", "pillow_heif:HeifImageFile", MOST_PIXELS),
 }
 _ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND\xaeB`\x82"}  # neither can be in the pixels' data; cameras pad after it
-_PAM_SIDE = re.compile(rb"^(WIDTH|HEIGHT)[ \t]+(\d{1,9})\s", re.MULTILINE)
 _PNG_DEPTH, _PNG_COLOUR, _PNG_GREY = 24, 25, (0, 4)  # places, and two of the colour types
 
 warnings.filterwarnings("ignore", module=r"PIL\.TiffImagePlugin")  # damaged EXIF data turn nothing
@@ -117,10 +116,6 @@ def read_header(data: Bytes) -> Header:
     if codec is None:
         raise UndecodableError("no image file that is known", f"{len(data)} bytes beginning with {head[:4].hex()}")
     with reading():
-        if head[:2] == b"P7":  # PAM, which Pillow does not know
-            sides = dict(cast("list[tuple[bytes, bytes]]", _PAM_SIDE.findall(bytes(data[:1024]))))
-            check_size(int(sides[b"WIDTH"]), int(sides[b"HEIGHT"]), 8 * len(data))
-            return Header(codec)
         return _header(codec, bytes(data))
 
 
