@@ -20,9 +20,8 @@ from airline.evaluation.benchmark import lsd
 from airline.image import to_uint8
 from airline.lines import LineSet
 from airline.scenes import RenderedClip, RenderedView
-from frontend.evaluation.baselines import FlowTracker
+from frontend.evaluation.baselines import FlowTracker, end_errors, nearest_on_rows
 from frontend.evaluation.metrics import Figures, figure, rms
-from frontend.evaluation.nearest_on_rows import end_errors, nearest_on_rows
 from frontend.evaluation.posed import Posed
 from frontend.evaluation.space import distances, image_lines
 from frontend.evaluation.truth import AMBIGUOUS, Truth, longest_pieces, owners

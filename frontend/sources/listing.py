@@ -117,15 +117,14 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
                 f"'{before.path.name}' and '{after.path.name}' of '{root}' {what}: name one of several cameras by a "
                 "glob pattern, or correct the times"
             )
+    notes, first_ns = list(listing.notes), listing.rows[0].stamp_ns
     steps = [after.stamp_ns - before.stamp_ns for before, after in pairwise(listing.rows)]
     if steps and (step := median(steps)) > _LONG_STEP:
-        slow = f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit"
-        listing = replace(listing, notes=(*listing.notes, slow))
-    if (first_ns := listing.rows[0].stamp_ns) < 0:
-        rows = [row._replace(stamp_ns=row.stamp_ns - first_ns) for row in listing.rows]
-        below = f"times begin below zero, at {first_ns / 1e9:g} s, and are counted from there"
-        listing = replace(listing, rows=rows, notes=(*listing.notes, below))
-    return listing
+        notes.append(f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit")
+    if first_ns < 0:
+        notes.append(f"times begin below zero, at {first_ns / 1e9:g} s, and are counted from there")
+    rows = [row._replace(stamp_ns=row.stamp_ns - min(first_ns, 0)) for row in listing.rows]
+    return Listing(rows, listing.kind, tuple(notes))
 
 
 def folder_of(rows: Sequence[ImageRow]) -> Path | None:

@@ -144,7 +144,7 @@ class StereoSource(Source):
         )
         paired = False
         if not self.live:
-            self._begin([ahead.up_to(_FIRST) for ahead in (lefts, rights)])
+            self._begin([[one for k in range(_FIRST) if (one := ahead[k])] for ahead in (lefts, rights)])
         try:
             while (left := lefts[0]) is not None and (right := rights[0]) is not None:
                 unpaired = self._without_partner(left, right, lefts, rights)
@@ -285,10 +285,6 @@ class _Ahead:
                     self._steps.append(frame.stamp_ns - self._latest)
                 self._latest = frame.stamp_ns
         return self._held[place]
-
-    def up_to(self, count: int) -> list[Frame]:
-        """The next frames, so many at most."""
-        return [frame for place in range(count) if (frame := self[place]) is not None]
 
     def take(self) -> Frame | None:
         frame = self[0]

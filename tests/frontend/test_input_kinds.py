@@ -141,7 +141,7 @@ def test_frames_of_a_cameras_device(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         opened.append(device)
         return cv2.VideoCapture(clip)
 
-    monkeypatch.setattr(live, "_open_camera", camera)
+    monkeypatch.setattr(live, "_open", camera)
     source = open_source("/dev/video97")
     assert isinstance(source, LiveSource)
     assert (source.live, source.kind, source.name) == (True, "live camera", "camera-dev-video97")

@@ -13,7 +13,7 @@ import pytest
 
 from airline.scenes import RenderedClip
 from frontend.evaluate import main
-from frontend.evaluation.nearest_on_rows import nearest_on_rows
+from frontend.evaluation.baselines import nearest_on_rows
 from frontend.evaluation.stereo import Pairs, PairTruth, first_pair_scores, partner_scores, rest_scores
 from frontend.evaluation.truth import longest_pieces, owners
 from frontend.sources.scene import frame_of
