@@ -9,9 +9,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from frontend.evaluation.truth import Clip, Record, Tracked, Tracker
     from frontend.frame import Frame
     from frontend.tracks import LineTracks
+
+    Answer = tuple[Tracked | LineTracks, float]  # of a tracker, and how long it took, ms
 
 WORST = 10  # tracks in a picture
 
@@ -81,6 +83,7 @@ def run(options: argparse.Namespace) -> None:
     sequences: dict[str, Any] = {}
     accurate: dict[str, Any] = {}
     posed: dict[str, Any] = {}
+    runs: dict[str, list[Answer]]
     for clip in clips:
         records = measure(clip, detect, options.limit)
         sequences[clip.name] = {
@@ -88,12 +91,16 @@ def run(options: argparse.Namespace) -> None:
         }
         accurate[clip.name] = accuracy(records["ours"])
         if isinstance(clip, SceneClip):
-            runs = {name: Run([r.tracked for r in run], [r.ms for r in run]) for name, run in records.items()}
+            runs = {name: [(record.tracked, record.ms) for record in run] for name, run in records.items()}
             posed[clip.name] = in_space(clip, runs)
             _draw_worst(options, clip, (frame for frame, _ in clip), runs)
     for folder in posed_clips:
+        trackers, runs = Trackers(detect), defaultdict(list)
         with progress(folder.name, min(len(folder), options.limit or len(folder))) as advance:
-            runs = follow(islice(folder, options.limit), detect, advance)[1]
+            for frame in islice(folder, options.limit):
+                for name, answer in trackers(frame)[1].items():
+                    runs[name].append(answer)
+                advance()
         posed[folder.name] = in_space(folder, runs)
         _draw_worst(options, folder, folder, runs)
     figures = {"sequences": sequences, "accuracy": accurate, "posed": posed}
@@ -167,35 +174,25 @@ def _named(options: argparse.Namespace, names: list[str]) -> list[str]:
     return options.sequence or names
 
 
-@dataclass(frozen=True)
-class Run:
-    """A tracker's answers over a clip, and the milliseconds that each took."""
+class Trackers:
+    """All that are compared, on the same lines."""
 
-    tracked: list[Tracked | LineTracks]
-    ms: list[float]
+    def __init__(self, detect: AirLine) -> None:
+        from frontend.evaluation.baselines import FlowTracker, NearestTracker
+        from frontend.tracker import LineTracker
 
+        self._detect = detect
+        self._all: dict[str, Tracker] = {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
 
-def follow(frames: Iterable[Frame], detect: AirLine, done: Callable[[], None]) -> tuple[list[LineSet], dict[str, Run]]:
-    """The lines of every frame, and what every tracker makes of them; `done` is called after each frame.
-
-    Raises:
-        InputError: a frame cannot be read.
-    """
-    from frontend.evaluation.baselines import FlowTracker, NearestTracker
-    from frontend.tracker import LineTracker
-
-    trackers: dict[str, Tracker] = {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
-    runs = {name: Run([], []) for name in trackers}
-    lines = []
-    for frame in frames:
-        trace = detect.trace(frame.image)
-        lines.append(trace.lines)
-        for name, tracker in trackers.items():
+    def __call__(self, frame: Frame) -> tuple[LineSet, dict[str, Answer]]:
+        """The lines of the next frame, and what every tracker makes of them."""
+        trace = self._detect.trace(frame.image)
+        answers = {}
+        for name, tracker in self._all.items():
             started = time.perf_counter()
-            runs[name].tracked.append(tracker.update(frame, trace.lines, trace.edges))
-            runs[name].ms.append(1e3 * (time.perf_counter() - started))
-        done()
-    return lines, runs
+            tracked = tracker.update(frame, trace.lines, trace.edges)
+            answers[name] = tracked, 1e3 * (time.perf_counter() - started)
+        return trace.lines, answers
 
 
 def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, list[Record]]:
@@ -204,53 +201,46 @@ def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, list[Re
     Raises:
         InputError: a frame cannot be read.
     """
-    from frontend.evaluation.truth import Record, Truth, owners
+    from frontend.evaluation.truth import Record, owners
 
-    known: list[tuple[Truth, tuple[int, int]]] = []
-
-    def frames() -> Iterator[Frame]:
-        for frame, truth in islice(clip, limit):
-            height, width = frame.image.shape[:2]
-            known.append((truth, (width, height)))
-            yield frame
-
+    trackers, records = Trackers(detect), defaultdict[str, list[Record]](list)
     with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
-        lines, runs = follow(frames(), detect, advance)
-    line_owners = [owners(found.segments, truth) for found, (truth, _) in zip(lines, known, strict=True)]
-    return {
-        name: [
-            Record(tracked, of, truth, size, ms)
-            for tracked, of, (truth, size), ms in zip(run.tracked, line_owners, known, run.ms, strict=True)
-        ]
-        for name, run in runs.items()
-    }
+        for frame, truth in islice(clip, limit):
+            lines, answers = trackers(frame)
+            height, width = frame.image.shape[:2]
+            of = owners(lines.segments, truth)
+            for name, (tracked, ms) in answers.items():
+                records[name].append(Record(tracked, of, truth, (width, height), ms))
+            advance()
+    return records
 
 
-def in_space(clip: Posed, runs: Mapping[str, Run]) -> dict[str, dict[str, Any]]:
+def in_space(clip: Posed, runs: Mapping[str, list[Answer]]) -> dict[str, dict[str, Any]]:
     """Consistency with one line in space of what each tracker observed, and of what ours fused and calls stable."""
     from frontend.evaluation.consistency import consistency
     from frontend.evaluation.observations import collect
 
     figures = {}
     for name, run in runs.items():
-        ms, frames = round(median(run.ms), 4), len(run.tracked)
-        every = collect(run.tracked)
+        ms, every = round(median(ms for _, ms in run), 4), collect([tracked for tracked, _ in run])
         kinds = {name: (every, every.observed_px)}
         if name == "ours":
             stable = every.take(every.stable)
             kinds["fused"] = every, every.segments_px
             kinds |= {"stable": (stable, stable.observed_px), "stable, fused": (stable, stable.segments_px)}
         for kind, (rows, segments) in kinds.items():
-            figures[kind] = {**consistency(rows, segments, clip, frames), "ms": ms}
+            figures[kind] = {**consistency(rows, segments, clip, len(run)), "ms": ms}
     return figures
 
 
-def _draw_worst(options: argparse.Namespace, clip: Posed, frames: Iterable[Frame], runs: Mapping[str, Run]) -> None:
+def _draw_worst(
+    options: argparse.Namespace, clip: Posed, frames: Iterable[Frame], runs: Mapping[str, list[Answer]]
+) -> None:
     from frontend.evaluation.observations import collect
     from frontend.evaluation.strips import draw_strips, fitted, write_strips
 
     if options.worst is not None:
-        worst = fitted(collect(runs["ours"].tracked), clip)[:WORST]
+        worst = fitted(collect([tracked for tracked, _ in runs["ours"]]), clip)[:WORST]
         if worst:
             write_strips(options.worst / f"{clip.name}.png", draw_strips(islice(frames, options.limit), worst))
 
