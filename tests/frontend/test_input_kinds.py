@@ -251,7 +251,7 @@ def test_info_of_a_video(tmp_path: Path) -> None:
     assert rows["rate"] == "25 frames/s"
     assert rows["codec"] == "h264"
     assert rows["orientation"].startswith("turned by 90 degrees clockwise")
-    assert rows["note"].startswith("pictures are turned by 90 degrees clockwise")
+    assert rows["note"].startswith("images are turned by 90 degrees clockwise")
 
 
 @pytest.mark.parametrize("name", ["clip", "clip.jpg", "clip.bin", "clip.mjpeg", "clip.png"])
