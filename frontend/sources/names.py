@@ -26,6 +26,7 @@ _DATE = re.compile(
     r"(?<!\d)(\d{4})[-_.]?(\d\d)[-_.]?(\d\d)(?: at |[-_ T.])?(\d\d)[-_:.h]?(\d\d)[-_:.m]?(\d\d)"
     r"(?:(?:[.,s]|[-_]?(?=\d{3}(?!\d)|\d{5,9}(?!\d)))(?P<part>\d+))?(?!\d)"
 )
+_CLOCK = re.compile(r"(?<!\d)[0-5]\d[-_:.m][0-5]\d[.,]\d")  # whose seconds alone are no time
 
 _Found = tuple[int, str]  # a stamp in ns, and the rest of the name
 _Read = Callable[[str], _Found | None]
@@ -108,7 +109,7 @@ def _readers(names: Sequence[str]) -> Iterable[tuple[str, _Read]]:
             decimal = any("." in match[0] for name in names for match in _numbers(name, unit))
             yield f"{'decimal ' * decimal}{unit}", partial(_number, last=last, unit=unit)
         texts = [numbers[-1 if last else 0] for name in names if (numbers := _NUMBER.findall(name))]
-        parts = [text.split(".") for text in texts if "." in text]
+        parts = [text.split(".") for text in texts if "." in text and not any(map(_CLOCK.search, names))]
         if parts and not (len({whole for whole, _ in parts}) == 1 and _counts([("", part) for _, part in parts])):
             stamps = [exact_ns(text, SECOND) for text in texts]
             if None not in stamps and len(texts) > 1 and plausible(filter(None, stamps)):

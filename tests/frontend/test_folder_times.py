@@ -152,6 +152,8 @@ def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
         [f"{START * 1000}_{k}" for k in range(12)],
         [f"{k:010d}" for k in range(12)],
         [f"{700 + k}x480" for k in range(12)],
+        [f"14_41_{25 + k}.50" for k in range(12)],  # of a clock
+        [f"clip_41-{25 + k}.500" for k in range(12)],
     ],
 )
 def test_counters_are_no_times(tmp_path: Path, names: list[str]) -> None:
