@@ -47,8 +47,8 @@ RUNS = {  # sink, and whether in series
     "fps_rerun_serial": ("rerun", True),
     "fps_rerun": ("rerun", False),
     "fps_mcap": ("mcap", False),
+    "fps_pairs": ("none", False),  # with --stereo, beside `fps` in all else
 }
-PAIRS = "fps_pairs"  # with --stereo, beside `fps` in all else
 ROWS = {
     "fps_serial": "frames/s in series",
     "fps": "frames/s",
@@ -126,7 +126,7 @@ def run(options: argparse.Namespace) -> None:
     config = load(None, {"preset": options.preset, "runtime": options.runtime, "input": chosen})
     clips = load_clips(options.input, options.size, config)
     sizes: dict[str, Figures] = {}
-    with progress("runs", len(clips) * ROUNDS * (len(RUNS) + options.stereo), unit="runs") as advance:
+    with progress("runs", len(clips) * ROUNDS * (len(RUNS) - (not options.stereo)), unit="runs") as advance:
         for size, (files, right) in clips.items():
             sizes[size] = measure(ClipSource(files, options.frames, right), config, advance)
     Console().print(table(sizes))
@@ -167,12 +167,12 @@ def load_clips(
 
 def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) -> Figures:
     """All figures of one size: medians over rounds in which the runs take turns; of memory, the most."""
-    runs = RUNS | ({PAIRS: ("none", False)} if clip.right else {})
+    runs = {name: run for name, run in RUNS.items() if clip.right or name != "fps_pairs"}
     found: dict[str, list[Figures]] = {name: [] for name in runs}
     lsd_ms: list[float] = []
     for _ in range(ROUNDS):
         for name, (sink, serial) in runs.items():
-            frames = clip if name == PAIRS else replace(clip, right=())
+            frames = clip if name == "fps_pairs" else replace(clip, right=())
             spawn = multiprocessing.get_context("spawn")
             with ProcessPoolExecutor(1, mp_context=spawn) as pool:
                 found[name].append(pool.submit(one_run, frames, config, sink, serial).result())
@@ -180,15 +180,15 @@ def measure(clip: ClipSource, config: RunConfig, advance: Callable[[], None]) ->
             advance()
     plain, serial_ms = found["fps"], [run["stage_ms"] for run in found["fps_serial"]]
     rates = {name: _median(run["fps"] for run in done) for name, done in found.items()}
+    peaks = {name: max(run["peak_mb"] for run in done) for name, done in found.items()}
     of_pairs = {}
-    if PAIRS in found:
-        most = max(run["peak_mb"] for run in found[PAIRS])
-        of_pairs = {"pair_cost": rates["fps"] / rates[PAIRS], "peak_mb_pairs": most}
+    if clip.right:
+        of_pairs = {"pair_cost": rates["fps"] / rates["fps_pairs"], "peak_mb_pairs": peaks["fps_pairs"]}
     return {
         **rates,
         **of_pairs,
-        "peak_mb": max(run["peak_mb"] for run in plain),
-        "peak_mb_rerun": max(run["peak_mb"] for run in found["fps_rerun"]),
+        "peak_mb": peaks["fps"],
+        "peak_mb_rerun": peaks["fps_rerun"],
         "latency_ms": _median(run["latency_ms"] for run in plain),
         "lines": plain[0]["lines_per_frame"],
         "stage_ms": {stage: _median(spent[stage] for spent in serial_ms) for stage in plain[0]["stage_ms"]},

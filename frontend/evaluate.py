@@ -9,9 +9,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from frontend.frame import Frame
     from frontend.tracks import LineTracks
 
+    Answer = tuple[Tracked | LineTracks, float]  # of a tracker, and how long it took, ms
+
 WORST = 10  # tracks in a picture
 
 
@@ -38,40 +40,18 @@ def build_parser() -> Parser:
         prog="python -m frontend.evaluate",
         description="Measure the line tracker against known identities, beside nearest neighbour and optical flow.",
     )
-    parser.add_argument(
-        "--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the tables show"
-    )
-    parser.add_argument("--photos", type=Path, metavar="DIR", help="also photographs of a folder, moved and degraded")
-    parser.add_argument("--icl", type=Path, metavar="DIR", help="also frames with labelled lines and associations")
-    parser.add_argument(
-        "--posed",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="DIR",
-        help="also clips with poses, of KITTI, ICL-NUIM, TUM",
-    )
-    parser.add_argument(
-        "--match",
-        type=Path,
-        nargs="*",
-        metavar="DIR",
-        help="instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N",
-    )
-    parser.add_argument(
-        "--stereo",
-        type=Path,
-        nargs="*",
-        metavar="DIR",
-        help="instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest",
-    )
-    parser.add_argument("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
-    parser.add_argument(
-        "--worst",
-        type=Path,
-        metavar="DIR",
-        help="draw the ten tracks least like a line in space, where poses are known",
-    )
+    add = parser.add_argument
+    folders: dict[str, Any] = {"type": Path, "metavar": "DIR"}
+    add("--sequence", nargs="+", metavar="NAME", help="only these clips, by the names that the tables show")
+    add("--photos", **folders, help="also photographs of a folder, moved and degraded")
+    add("--icl", **folders, help="also frames with labelled lines and associations")
+    add("--posed", nargs="+", default=[], **folders, help="also clips with poses, of KITTI, ICL-NUIM, TUM")
+    match = "instead, pairs of images: rendered, or labelled frames as for --icl, or planes, N.png and H_1_N"
+    add("--match", nargs="*", **folders, help=match)
+    stereo = "instead, partners in pairs: rendered, or of stereo cameras that have poses, as of --posed, or rest"
+    add("--stereo", nargs="*", **folders, help=stereo)
+    add("--limit", type=number(int, 2), metavar="N", help="use only the first N frames of each clip")
+    add("--worst", **folders, help="draw the ten tracks least like a line in space, where poses are known")
     parser.add_json()
     return parser
 
@@ -88,6 +68,7 @@ def run(options: argparse.Namespace) -> None:
         AirLineError: an argument or file cannot be used.
     """
     from airline.detector import AirLine
+    from frontend.evaluation import report
     from frontend.evaluation.accuracy import accuracy, jitter
     from frontend.evaluation.coverage import coverage
     from frontend.evaluation.metrics import identity_scores
@@ -102,6 +83,7 @@ def run(options: argparse.Namespace) -> None:
     sequences: dict[str, Any] = {}
     accurate: dict[str, Any] = {}
     posed: dict[str, Any] = {}
+    runs: dict[str, list[Answer]]
     for clip in clips:
         records = measure(clip, detect, options.limit)
         sequences[clip.name] = {
@@ -109,71 +91,58 @@ def run(options: argparse.Namespace) -> None:
         }
         accurate[clip.name] = accuracy(records["ours"])
         if isinstance(clip, SceneClip):
-            runs = {name: Run([r.tracked for r in run], [r.ms for r in run]) for name, run in records.items()}
+            runs = {name: [(record.tracked, record.ms) for record in run] for name, run in records.items()}
             posed[clip.name] = in_space(clip, runs)
             _draw_worst(options, clip, (frame for frame, _ in clip), runs)
     for folder in posed_clips:
+        trackers, runs = Trackers(detect), defaultdict(list)
         with progress(folder.name, min(len(folder), options.limit or len(folder))) as advance:
-            runs = follow(islice(folder, options.limit), detect, advance)[1]
+            for frame in islice(folder, options.limit):
+                for name, answer in trackers(frame)[1].items():
+                    runs[name].append(answer)
+                advance()
         posed[folder.name] = in_space(folder, runs)
         _draw_worst(options, folder, folder, runs)
-    _show(sequences, accurate, posed)
-    write_json(options.json, {"sequences": sequences, "accuracy": accurate, "posed": posed})
+    figures = {"sequences": sequences, "accuracy": accurate, "posed": posed}
+    report.show(figures, report.LEGEND)
+    write_json(options.json, figures)
 
 
 def _match(options: argparse.Namespace) -> None:
-    from rich.console import Console
-
     from frontend.evaluation import report
     from frontend.evaluation.matches import match_figures
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Any] = {"matches": {}}
     for folder in options.match or [None]:
-        figures |= match_figures(folder)
-    console = Console()
-    console.print(report.table("Pairs of lines of two images", figures, report.MATCHES))
-    console.print(report.MATCH_LEGEND)
-    write_json(options.json, {"matches": figures})
+        figures["matches"] |= match_figures(folder)
+    report.show(figures, report.MATCH_LEGEND)
+    write_json(options.json, figures)
 
 
 def _stereo(options: argparse.Namespace) -> None:
-    from rich.console import Console
-
     from airline.detector import AirLine
     from frontend.evaluation import report, stereo
     from frontend.evaluation.posed import PosedClip
     from frontend.sources import open_stereo
 
     detect = AirLine()
-    partners: dict[str, Any] = {}
-    first: dict[str, Any] = {}
-    rest: dict[str, Any] = {}
+    figures: dict[str, dict[str, Any]] = {"partners": {}, "first_pairs": {}, "at_rest": {}}
     clips = stereo.rendered_pairs()
     for name in [] if options.stereo else _named(options, list(clips)):
-        clip = clips[name]
         truths: list[stereo.PairTruth] = []
-        with progress(name, min(len(clip), options.limit or len(clip))) as advance:
-            runs = stereo.follow(stereo.frames_of(clip, options.limit, truths), detect, advance)
-        partners[name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
+        with progress(name, min(len(clips[name]), options.limit or len(clips[name]))) as advance:
+            runs = stereo.follow(stereo.frames_of(clips[name], options.limit, truths), detect, advance)
+        figures["partners"][name] = {kind: stereo.partner_scores(run, truths) for kind, run in runs.items()}
     for folder in options.stereo:
         posed = PosedClip(folder) if (folder / "poses.txt").is_file() else None
         with closing(open_stereo(folder)) as source, progress(source.name, source.frame_count) as advance:
             runs = stereo.follow(islice(source, options.limit), detect, advance)
-        if posed is None:
-            rest[source.name] = {kind: stereo.rest_scores(run) for kind, run in runs.items()}
-        else:
-            first[source.name] = {kind: stereo.first_pair_scores(run, posed) for kind, run in runs.items()}
-    console = Console()
-    if partners:
-        console.print(report.table("Partners in the right image", partners, report.PARTNERS))
-        console.print(report.table("Their disparities", partners, report.DISPARITIES))
-        console.print(report.table("Error of distances, %", partners, report.BY_DISTANCE))
-    if first:
-        console.print(report.table("Lines from a first pair", first, report.FIRST_PAIRS))
-    if rest:
-        console.print(report.table("Upright lines at rest", rest, report.AT_REST))
-    console.print(report.STEREO_LEGEND)
-    write_json(options.json, {"partners": partners, "first_pairs": first, "at_rest": rest})
+        figures["first_pairs" if posed else "at_rest"][source.name] = {
+            kind: stereo.first_pair_scores(run, posed) if posed else stereo.rest_scores(run)
+            for kind, run in runs.items()
+        }
+    report.show(figures, report.STEREO_LEGEND)
+    write_json(options.json, figures)
 
 
 def _chosen(options: argparse.Namespace) -> tuple[list[Clip], list[PosedClip]]:
@@ -205,35 +174,25 @@ def _named(options: argparse.Namespace, names: list[str]) -> list[str]:
     return options.sequence or names
 
 
-@dataclass(frozen=True)
-class Run:
-    """A tracker's answers over a clip, and the milliseconds that each took."""
+class Trackers:
+    """All that are compared, on the same lines."""
 
-    tracked: list[Tracked | LineTracks]
-    ms: list[float]
+    def __init__(self, detect: AirLine) -> None:
+        from frontend.evaluation.baselines import FlowTracker, NearestTracker
+        from frontend.tracker import LineTracker
 
+        self._detect = detect
+        self._all: dict[str, Tracker] = {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
 
-def follow(frames: Iterable[Frame], detect: AirLine, done: Callable[[], None]) -> tuple[list[LineSet], dict[str, Run]]:
-    """The lines of every frame, and what every tracker makes of them; `done` is called after each frame.
-
-    Raises:
-        InputError: a frame cannot be read.
-    """
-    from frontend.evaluation.baselines import FlowTracker, NearestTracker
-    from frontend.tracker import LineTracker
-
-    trackers: dict[str, Tracker] = {"ours": LineTracker(), "nearest": NearestTracker(), "flow": FlowTracker()}
-    runs = {name: Run([], []) for name in trackers}
-    lines = []
-    for frame in frames:
-        trace = detect.trace(frame.image)
-        lines.append(trace.lines)
-        for name, tracker in trackers.items():
+    def __call__(self, frame: Frame) -> tuple[LineSet, dict[str, Answer]]:
+        """The lines of the next frame, and what every tracker makes of them."""
+        trace = self._detect.trace(frame.image)
+        answers = {}
+        for name, tracker in self._all.items():
             started = time.perf_counter()
-            runs[name].tracked.append(tracker.update(frame, trace.lines, trace.edges))
-            runs[name].ms.append(1e3 * (time.perf_counter() - started))
-        done()
-    return lines, runs
+            tracked = tracker.update(frame, trace.lines, trace.edges)
+            answers[name] = tracked, 1e3 * (time.perf_counter() - started)
+        return trace.lines, answers
 
 
 def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, list[Record]]:
@@ -242,74 +201,48 @@ def measure(clip: Clip, detect: AirLine, limit: int | None) -> dict[str, list[Re
     Raises:
         InputError: a frame cannot be read.
     """
-    from frontend.evaluation.truth import Record, Truth, owners
+    from frontend.evaluation.truth import Record, owners
 
-    known: list[tuple[Truth, tuple[int, int]]] = []
-
-    def frames() -> Iterator[Frame]:
-        for frame, truth in islice(clip, limit):
-            height, width = frame.image.shape[:2]
-            known.append((truth, (width, height)))
-            yield frame
-
+    trackers, records = Trackers(detect), defaultdict[str, list[Record]](list)
     with progress(clip.name, min(len(clip), limit or len(clip))) as advance:
-        lines, runs = follow(frames(), detect, advance)
-    line_owners = [owners(found.segments, truth) for found, (truth, _) in zip(lines, known, strict=True)]
-    return {
-        name: [
-            Record(tracked, of, truth, size, ms)
-            for tracked, of, (truth, size), ms in zip(run.tracked, line_owners, known, run.ms, strict=True)
-        ]
-        for name, run in runs.items()
-    }
+        for frame, truth in islice(clip, limit):
+            lines, answers = trackers(frame)
+            height, width = frame.image.shape[:2]
+            of = owners(lines.segments, truth)
+            for name, (tracked, ms) in answers.items():
+                records[name].append(Record(tracked, of, truth, (width, height), ms))
+            advance()
+    return records
 
 
-def in_space(clip: Posed, runs: Mapping[str, Run]) -> dict[str, dict[str, Any]]:
+def in_space(clip: Posed, runs: Mapping[str, list[Answer]]) -> dict[str, dict[str, Any]]:
     """Consistency with one line in space of what each tracker observed, and of what ours fused and calls stable."""
     from frontend.evaluation.consistency import consistency
     from frontend.evaluation.observations import collect
 
     figures = {}
     for name, run in runs.items():
-        ms, frames = round(median(run.ms), 4), len(run.tracked)
-        every = collect(run.tracked)
+        ms, every = round(median(ms for _, ms in run), 4), collect([tracked for tracked, _ in run])
         kinds = {name: (every, every.observed_px)}
         if name == "ours":
             stable = every.take(every.stable)
             kinds["fused"] = every, every.segments_px
             kinds |= {"stable": (stable, stable.observed_px), "stable, fused": (stable, stable.segments_px)}
         for kind, (rows, segments) in kinds.items():
-            figures[kind] = {**consistency(rows, segments, clip, frames), "ms": ms}
+            figures[kind] = {**consistency(rows, segments, clip, len(run)), "ms": ms}
     return figures
 
 
-def _draw_worst(options: argparse.Namespace, clip: Posed, frames: Iterable[Frame], runs: Mapping[str, Run]) -> None:
+def _draw_worst(
+    options: argparse.Namespace, clip: Posed, frames: Iterable[Frame], runs: Mapping[str, list[Answer]]
+) -> None:
     from frontend.evaluation.observations import collect
     from frontend.evaluation.strips import draw_strips, fitted, write_strips
 
     if options.worst is not None:
-        worst = fitted(collect(runs["ours"].tracked), clip)[:WORST]
+        worst = fitted(collect([tracked for tracked, _ in runs["ours"]]), clip)[:WORST]
         if worst:
             write_strips(options.worst / f"{clip.name}.png", draw_strips(islice(frames, options.limit), worst))
-
-
-def _show(sequences: dict[str, Any], accurate: dict[str, Any], posed: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    from frontend.evaluation import report
-
-    console = Console()
-    if sequences:
-        console.print(report.table("Identities", sequences, report.IDENTITIES))
-        console.print(report.table("Tracks", sequences, report.LIVES))
-        console.print(report.table("True lines and the tracks that cover them", sequences, report.COVERAGE))
-        console.print(report.table("Jitter of end points, px", sequences, report.JITTER))
-        console.print(report.table("Lines against the truth", accurate, report.ACCURACY))
-    if posed:
-        console.print(report.table("Tracks that are one line in space", posed, report.CONSISTENT))
-        console.print(report.table("The same by length of line, %", posed, report.BY_LENGTH))
-        console.print(report.table("The same by frames, %", posed, report.BY_FRAMES))
-    console.print(report.LEGEND)
 
 
 if __name__ == "__main__":

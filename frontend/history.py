@@ -27,17 +27,9 @@ class Observations:
 
     Attributes:
         track_id: the track.
-        frame_indices: (T,) int64 `Frame.index`.
-        stamps_ns: (T,) int64 sensor times, ns.
-        segments_px: (T, 2, 2) float32 px, as fused up to that frame.
-        observed_px: (T, 2, 2) float32 px, as measured in that frame alone: errors are independent of other frames.
-        observed_covariances: (T, 2, 2) float32 of these errors: offset across at the middle, px, and angle, radians.
-        scores: (T,) float32.
-        measured: (T,) bool, not detected, but found where the track was predicted.
-        segments_normalized: (T, 2, 2) float32 `segments_px` undistorted on the plane z = 1.
-        observed_normalized: (T, 2, 2) float32 `observed_px` undistorted.
-        observed_lines: (T, 3) float32 a, b, c of the observed lines a u + b v + c = 0 there.
-        observed_line_covariances: (T, 2, 2) float32 of their errors: offset across at the middle, and angle, radians.
+        frame_indices, stamps_ns: (T,) int64 `Frame.index`, and sensor times, ns.
+        segments_px, observed_px, observed_covariances, scores, measured, segments_normalized, observed_normalized,
+            observed_lines, observed_line_covariances: (T, ...) as of `LineTracks`, whose row it was.
         ended: whether the track will never be seen again.
     """
 

@@ -34,11 +34,7 @@ Gray8 = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Geometry = Literal["none", "homography", "fundamental", "essential"]
 
-MOST_POINTS, CONTRAST, RATIO = (
-    2000,
-    0.01,
-    0.85,
-)  # of SIFT: points of an image; the faintest; Lowe's ratio of two matches
+MOST_POINTS, CONTRAST, RATIO = 2000, 0.01, 0.85  # of SIFT: points of an image; the faintest; Lowe's ratio
 PLANE_ERROR, EPIPOLAR_ERROR = 2.0, 1.5  # px that a point may lie beside where the geometry wants it
 LEAST_POINTS = 25  # that agree; two views of different things have up to 19
 PLANAR = 0.9  # share of the points that agree with two views of anything, from which they are two views of a plane

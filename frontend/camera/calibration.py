@@ -62,14 +62,6 @@ class _Ros(Struct):
     projection_matrix: _Twelve | None = None
 
 
-class _RosRectified(Struct):
-    """What ROS's `camera_info` says of the rectified images."""
-
-    image_width: _Side
-    image_height: _Side
-    projection_matrix: _Twelve
-
-
 class _Simple(Struct, forbid_unknown_fields=True):
     """JSON or YAML of what `CameraModel` holds."""
 
@@ -165,9 +157,10 @@ def _calibration(file: Path, images: str | os.PathLike[str] | None, number: int 
             rig = rigs_of_chain({key: chain[key] for key in sorted(chain, key=lambda key: int(key[3:]))})[name]
             camera = replace(_euroc(chain[name], f"{name}."), rig_from_camera=rig)
             return Calibration(file, camera, name, number=int(name[3:]))
-        if "projection_matrix" in tree and images is not None and says_rectified(images):
-            return Calibration(file, _ros_rectified(tree), "projection_matrix")
-        for field, camera_in in {"camera_matrix": _ros, "intrinsics": _euroc, "fx": _simple}.items():
+        if "camera_matrix" in tree:
+            rectified = "projection_matrix" in tree and images is not None and says_rectified(images)
+            return Calibration(file, _ros(tree, rectified), "projection_matrix" if rectified else "")
+        for field, camera_in in {"intrinsics": _euroc, "fx": _simple}.items():
             if field in tree:
                 return Calibration(file, camera_in(tree))
     except (ConfigError, InputError) as error:
@@ -237,21 +230,17 @@ def _euroc(tree: Mapping[str, Any], prefix: str = "") -> CameraModel:
     return CameraModel(width, height, fx, fy, cx, cy, *distortion, rig_from_camera=rig)
 
 
-def _ros(tree: Mapping[str, Any]) -> CameraModel:
+def _ros(tree: Mapping[str, Any], rectified: bool) -> CameraModel:
     found = _checked(tree, _Ros)
+    size, projection = (found.image_width, found.image_height), found.projection_matrix or ()
+    if rectified:
+        return CameraModel(*size, *intrinsics(left_3x3(projection)), rig_from_camera=rig_of_projection(projection))
     model = found.distortion_model
     if model is None:
         model = "equidistant" if found.fisheye_model else "plumb_bob"
     distortion = lens(model, found.distortion_coefficients)
-    rig = rig_of_projection(found.projection_matrix or (), found.rectification_matrix or ())
-    pinhole = intrinsics(found.camera_matrix)
-    return CameraModel(found.image_width, found.image_height, *pinhole, *distortion, rig_from_camera=rig)
-
-
-def _ros_rectified(tree: Mapping[str, Any]) -> CameraModel:
-    found = _checked(tree, _RosRectified)
-    pinhole, rig = intrinsics(left_3x3(found.projection_matrix)), rig_of_projection(found.projection_matrix)
-    return CameraModel(found.image_width, found.image_height, *pinhole, rig_from_camera=rig)
+    rig = rig_of_projection(projection, found.rectification_matrix or ())
+    return CameraModel(*size, *intrinsics(found.camera_matrix), *distortion, rig_from_camera=rig)
 
 
 def _simple(tree: Mapping[str, Any]) -> CameraModel:
@@ -305,24 +294,10 @@ def _parsed(text: str) -> Any:
 def _yaml(text: str) -> Any:
     """Deeply nested YAML is refused, and so are anchors, with which a short text can stand for gigabytes."""
     from ruamel.yaml import YAML
-    from ruamel.yaml.composer import Composer
     from ruamel.yaml.constructor import SafeConstructor
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent, DocumentEndEvent
     from ruamel.yaml.nodes import MappingNode, SequenceNode
-
-    class Guarded(Composer):
-        depth = 0
-
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            anchor = getattr(self.parser.peek_event(), "anchor", None)
-            if anchor is not None:
-                raise InputError(f"it has the YAML anchor '{anchor}': write its value out instead")
-            if self.depth > _MAX_DEPTH:
-                raise InputError(f"it is nested deeper than {_MAX_DEPTH} levels")
-            self.depth += 1
-            node = super().compose_node(parent, index)
-            self.depth -= 1
-            return node
 
     class Plain(SafeConstructor):
         """What has a tag of its own, or would become a date, is read as if it had none."""
@@ -334,9 +309,17 @@ def _yaml(text: str) -> Any:
 
     for tag in (None, "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:binary"):
         Plain.add_constructor(tag, Plain.plain)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Composer, yaml.Constructor = Guarded, Plain
+    yaml, depth = YAML(typ="safe", pure=True), 0
+    yaml.Constructor = Plain
     try:
+        for event in yaml.parse(text):
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if getattr(event, "anchor", None) is not None:
+                raise InputError(f"it has the YAML anchor '{event.anchor}': write its value out instead")
+            if depth > _MAX_DEPTH:
+                raise InputError(f"it is nested deeper than {_MAX_DEPTH} levels")
+            if isinstance(event, DocumentEndEvent):
+                break
         return next(yaml.load_all(text), None)
     except (YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:  # the parser's slips, too
         problem = (getattr(error, "problem", None) or str(error)).partition("\n")[0]

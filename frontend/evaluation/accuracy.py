@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.evaluation.metrics import Figures, linked, rounded
+from frontend.evaluation.metrics import Figures, figure, linked, rms
 from frontend.evaluation.truth import Record, longest_pieces
 from frontend.tracks import LineTracks
 
@@ -36,8 +36,8 @@ def jitter(records: Sequence[Record]) -> Figures:
         first, later = before.tracked.segments_px[rows], after.tracked.segments_px[later_rows]
         backwards = _backwards(first, _true_lines(before, rows))
         steps.append(_deviation(after, later_rows, later, backwards) - _deviation(before, rows, first, backwards))
-    across, along = (_rms(step) for step in np.concatenate(steps).reshape(-1, 2).T * np.sqrt(0.5))
-    return rounded({"jitter_across_px": across, "jitter_along_px": along})
+    across, along = np.concatenate(steps).reshape(-1, 2).T * np.sqrt(0.5)
+    return {"jitter_across_px": figure(rms, across), "jitter_along_px": figure(rms, along)}
 
 
 def accuracy(records: Sequence[Record]) -> dict[str, Figures]:
@@ -78,31 +78,20 @@ def _errors(record: Record, rows: Rows, segments: NDArray[np.float32], covarianc
 
 def _figures(errors: Array) -> Figures:
     across, along, (offset, angle) = errors[:, :2].ravel(), errors[:, 2:4].ravel(), errors[:, 4:].T
-    return rounded(
-        {
-            "lines": len(errors),
-            "across_px": _rms(across),
-            "across_68_px": _percentile(across, ONE_SIGMA),
-            "along_px": _rms(along),
-            "along_median_px": _percentile(along, 50),
-            "offset_68": _percentile(offset, ONE_SIGMA),
-            "offset_rms": _rms(np.clip(offset, -CLIPPED, CLIPPED)),
-            "angle_68": _percentile(angle, ONE_SIGMA),
-            "angle_rms": _rms(np.clip(angle, -CLIPPED, CLIPPED)),
-        }
-    )
+    return {
+        "lines": len(errors),
+        "across_px": figure(rms, across),
+        "across_68_px": figure(_one_sigma, across),
+        "along_px": figure(rms, along),
+        "offset_68": figure(_one_sigma, offset),
+        "offset_rms": figure(rms, np.clip(offset, -CLIPPED, CLIPPED)),
+        "angle_68": figure(_one_sigma, angle),
+        "angle_rms": figure(rms, np.clip(angle, -CLIPPED, CLIPPED)),
+    }
 
 
-def _rms(errors: Array) -> float | None:
-    """Of those that are not NaN."""
-    known = errors[~np.isnan(errors)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None
-
-
-def _percentile(errors: Array, percent: float) -> float | None:
-    """Of the sizes of those that are not NaN."""
-    known = np.abs(errors[~np.isnan(errors)])
-    return float(np.percentile(known, percent)) if len(known) else None
+def _one_sigma(errors: Array) -> float:
+    return float(np.percentile(np.abs(errors), ONE_SIGMA))
 
 
 def _true_lines(record: Record, rows: Rows) -> Array:

@@ -1,4 +1,4 @@
-"""Simple trackers to compare with: nearest neighbour by geometry, and optical flow of three points per line.
+"""Simple ways to compare with: trackers by nearest neighbour and by optical flow, partners in a right image by rows.
 
 Their constants were chosen on rendered sequences that the evaluation does not contain.
 """
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airline.errors import from_extra
+from airline.evaluation.metrics import measure_pairs
 from airline.image import to_gray, to_uint8
-from airline.kernels.compiled import njit
 from airline.lines import LineSet
 from frontend.evaluation.truth import Tracked
 from frontend.frame import Frame
@@ -22,6 +22,7 @@ with from_extra("evaluate"):
     from scipy.optimize import linear_sum_assignment
 
 Segments = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 MAX_MISSED = 5  # frames in a row without a line before a track ends
 MIN_COSINE = float(np.cos(np.deg2rad(12.0)))
@@ -34,6 +35,9 @@ FLOW: dict[str, Any] = {
     "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.03),
 }
 MAX_ROUND_TRIP = 1.0  # px, forward-backward error
+RANGE = 0.25  # of the right image's width: the largest disparity
+END_ERROR = 0.3  # px, taken for end points
+SLACK, MIN_COMMON, MIN_COSINE_ON_ROWS, MAX_LEVELS = 1.0, 0.5, float(np.cos(np.deg2rad(10.0))), 20.0
 _PLACES = np.array([-0.5, 0.0, 0.5])  # start, mid-point and end along a line
 
 
@@ -120,45 +124,12 @@ def nearest_pairs(
     predicted: Segments, lines: Segments, max_distance: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of one-to-one pairs, as many as the gates allow, at the least total cost."""
-    forbidden = 1e3 * (max_distance + OVERLAP_WORTH)
-    costs = _costs(predicted, lines, max_distance, forbidden)
+    distance, overlap, cosine = measure_pairs(predicted, lines)
+    allowed = (distance <= max_distance) & (overlap >= MIN_OVERLAP) & (cosine >= MIN_COSINE)
+    costs = np.where(allowed, distance + OVERLAP_WORTH * (1 - overlap), 1e3 * (max_distance + OVERLAP_WORTH))
     rows, columns = linear_sum_assignment(costs)
-    allowed = costs[rows, columns] < forbidden
-    return rows[allowed], columns[allowed]
-
-
-@njit()
-def _costs(predicted, lines, max_distance, forbidden):  # type: ignore[no-untyped-def]
-    """(N, M) mean distance of the four end points to the other's infinite line, plus the missing share of overlap."""
-    costs = np.full((len(predicted), len(lines)), forbidden)
-    for i in range(len(predicted)):
-        for j in range(len(lines)):
-            distance_i, overlap_i, cosine = _distance_and_overlap(predicted[i], lines[j])
-            if cosine < MIN_COSINE or distance_i > 2 * max_distance:
-                continue
-            distance_j, overlap_j, _ = _distance_and_overlap(lines[j], predicted[i])
-            distance, overlap = 0.5 * (distance_i + distance_j), 0.5 * (overlap_i + overlap_j)
-            if distance <= max_distance and overlap >= MIN_OVERLAP:
-                costs[i, j] = distance + OVERLAP_WORTH * (1 - overlap)
-    return costs
-
-
-@njit()
-def _distance_and_overlap(one, other):  # type: ignore[no-untyped-def]
-    """Mean distance of the ends of one line to another, share of the other that it covers, cosine between both."""
-    ux, uy = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1]
-    vx, vy = one[1, 0] - one[0, 0], one[1, 1] - one[0, 1]
-    length, own_length = np.hypot(ux, uy), np.hypot(vx, vy)
-    if length == 0 or own_length == 0:
-        return np.inf, 0.0, 0.0
-    ux, uy = ux / length, uy / length
-    away, low, high = 0.0, np.inf, -np.inf
-    for k in range(2):
-        x, y = one[k, 0] - other[0, 0], one[k, 1] - other[0, 1]
-        away += 0.5 * abs(y * ux - x * uy)
-        along = min(max((x * ux + y * uy) / length, 0.0), 1.0)
-        low, high = min(low, along), max(high, along)
-    return away, high - low, abs(ux * vx + uy * vy) / own_length
+    kept = allowed[rows, columns]
+    return rows[kept], columns[kept]
 
 
 def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], segments: Segments) -> Segments:
@@ -181,3 +152,54 @@ def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], segments: Segme
     slope = np.einsum("np,npc->nc", arm, flow) / np.where(spread > 0, spread, 1)
     ends = np.stack([mean + (-0.5 - centre) * slope, mean + (0.5 - centre) * slope], axis=1)
     return np.asarray(segments + ends, np.float32)
+
+
+def nearest_on_rows(
+    left: Segments, right: Segments, left_gray: NDArray[np.uint8], right_gray: NDArray[np.uint8]
+) -> NDArray[np.intp]:
+    """The partner of each left line (N, 2, 2) among right lines (M, 2, 2), px: row, -1 for none.
+
+    Of the lines with half of the shorter one's rows in common, at most 10 degrees between them, and grey levels on
+    both sides that differ by at most 20, the one with the least disparity from 0 to a quarter of the image's width;
+    one to one, least disparities first.
+    """
+    ours, theirs = (np.where(a[:, :1, 1:] > a[:, 1:, 1:], a[:, ::-1], a).astype(np.float64) for a in (left, right))
+    levels = _levels(ours, left_gray)[:, None], _levels(theirs, right_gray)
+    ours = ours[:, None]
+    (ux, uy), (vx, vy) = ((a[..., 1, :] - a[..., 0, :]).transpose(2, 0, 1) for a in (ours, theirs[None]))
+    top, bottom = np.maximum(ours[..., 0, 1], theirs[:, 0, 1]), np.minimum(ours[..., 1, 1], theirs[:, 1, 1])
+    shifts = _in_rows(ours, (top + bottom) / 2) - _in_rows(theirs, (top + bottom) / 2)
+    alike = bottom - top + 2 * SLACK >= MIN_COMMON * (np.minimum(uy, vy) + 2 * SLACK)
+    alike &= np.abs(ux * vx + uy * vy) >= MIN_COSINE_ON_ROWS * np.hypot(ux, uy) * np.hypot(vx, vy)
+    alike &= np.abs(levels[0] - levels[1]).max(axis=2) <= MAX_LEVELS
+    alike &= (shifts >= 0) & (shifts <= RANGE * left_gray.shape[1])
+    partner, free = np.full(len(left), -1), np.ones(len(right), np.bool_)
+    rows, columns = np.nonzero(alike)
+    for k in np.argsort(shifts[alike]):
+        if partner[rows[k]] < 0 and free[columns[k]]:
+            partner[rows[k]], free[columns[k]] = columns[k], False
+    return partner
+
+
+def _in_rows(lines: Array, y: Array) -> Array:
+    """X of lines in rows, or of their nearer ends."""
+    along = (y - lines[..., 0, 1]) / np.maximum(lines[..., 1, 1] - lines[..., 0, 1], 1e-9)
+    return np.asarray(lines[..., 0, 0] + np.clip(along, 0, 1) * (lines[..., 1, 0] - lines[..., 0, 0]))
+
+
+def _levels(lines: Array, gray: NDArray[np.uint8]) -> Array:
+    """(N, 2) mean grey levels 3 px aside of lines."""
+    delta = lines[:, 1] - lines[:, 0]
+    across = delta[:, ::-1] * (-1, 1) / np.maximum(np.hypot(*delta.T), 1e-9)[:, None]
+    steps = lines.mean(axis=1) + np.linspace(-0.4, 0.4, 9)[:, None, None] * delta
+    points = steps + 3.0 * np.array([-1, 1])[:, None, None, None] * across
+    x, y = np.clip(np.rint(points), 0, np.array(gray.shape)[::-1] - 1).astype(np.intp).transpose(3, 0, 1, 2)
+    return np.asarray(gray[y, x].mean(axis=1).T)
+
+
+def end_errors(lines: Segments) -> Segments:
+    """(N, 2, 2) covariances of offset and angle of lines with independent errors of their ends."""
+    covariances = np.zeros((len(lines), 2, 2), np.float32)
+    covariances[:, 0, 0] = END_ERROR**2 / 2
+    covariances[:, 1, 1] = 2 * END_ERROR**2 / np.maximum(((lines[:, 1] - lines[:, 0]) ** 2).sum(axis=1), 1)
+    return covariances

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.evaluation.metrics import Figures, rounded, whole_tracks
+from frontend.evaluation.metrics import Figures, figure, ratio, whole_tracks
 from frontend.evaluation.truth import Record, owners
 from frontend.tracks import LineTracks
 
@@ -37,17 +37,16 @@ def coverage(records: Sequence[Record]) -> Figures:
     lines, frames = lines[frames >= MIN_VISIBLE], frames[frames >= MIN_VISIBLE]
     covered = _covered(records, visible, lines)
     found = np.isin(lines, _seen([record.detected for record in records])[0])
-    figures: Figures = {
+    return {
         "lines": int(found.sum()),
-        "visible_mean": _mean(frames[found]),
-        "covered_mean": _mean(covered[found]),
-        "coverage": _ratio(covered[found], frames[found]),
-        "coverage_of_all": _ratio(covered, frames),
-        "covered_most": _mean(covered[found] >= MOST * frames[found]),
-        "under_3": _mean(_seen(whole_tracks(records))[1] < SHORT),
+        "visible_mean": figure(np.mean, frames[found]),
+        "covered_mean": figure(np.mean, covered[found]),
+        "coverage": ratio(covered[found].sum(), frames[found].sum()),
+        "coverage_of_all": ratio(covered.sum(), frames.sum()),
+        "covered_most": figure(np.mean, covered[found] >= MOST * frames[found]),
+        "under_3": figure(np.mean, _seen(whole_tracks(records))[1] < SHORT),
         "confirmed_under_3": _confirmed_under(records),
     }
-    return rounded(figures)
 
 
 def _visible(record: Record) -> Ids:
@@ -74,17 +73,9 @@ def _confirmed_under(records: Sequence[Record]) -> float | None:
     tracks = [record.tracked for record in records if isinstance(record.tracked, LineTracks)]
     ids, frames = _seen([found.ids for found in tracks])
     confirmed = np.isin(ids, _seen([found.ids[found.confirmed] for found in tracks])[0])
-    return _mean(frames[confirmed] < SHORT)
+    return figure(np.mean, frames[confirmed] < SHORT)
 
 
 def _seen(ids: Sequence[Ids]) -> tuple[Ids, Ids]:
     """Ids, and in how many frames each was."""
     return np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.unique, ids)]), return_counts=True)
-
-
-def _ratio(parts: Ids, wholes: Ids) -> float | None:
-    return float(parts.sum() / wholes.sum()) if len(wholes) else None
-
-
-def _mean(values: Ids | NDArray[np.bool_]) -> float | None:
-    return float(np.mean(values)) if len(values) else None

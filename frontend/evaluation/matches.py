@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from functools import cache, partial
+from functools import partial
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from airline.detector import AirLine
 from airline.errors import InputError
 from airline.evaluation.benchmark import lsd
 from airline.evaluation.metrics import MIN_OVERLAP, measure_pairs, warp
@@ -22,6 +21,7 @@ from airline.lines import LineSet
 from airline.scenes import RenderedClip
 from frontend.evaluation.baselines import nearest_pairs
 from frontend.evaluation.icl import LabelledClip, read_numbers
+from frontend.evaluation.moved import airline
 from frontend.evaluation.truth import Truth, owners
 from frontend.matching import LineMatches, match_lines
 from frontend.sources.reading import Image
@@ -115,7 +115,7 @@ def _same_place(
 
 def _matched(first: Image, second: Image) -> Iterator[tuple[str, int, LineMatches, Pairs, float | None]]:
     """Every matcher's name, lines of the first image, matches whose lines are meant, pairs and milliseconds."""
-    detectors: dict[str, Callable[[ArrayLike], LineSet]] = {"": _airline(), "LSD, ": _lsd}
+    detectors: dict[str, Callable[[ArrayLike], LineSet]] = {"": airline(), "LSD, ": _lsd}
     for kind, detector in detectors.items():
         started = time.perf_counter()
         matches = match_lines(first, second, detector=detector)
@@ -140,11 +140,6 @@ def _figures(rows: list[dict[str, Any]]) -> dict[str, Any]:
             scores = [precision, recall, 2 * precision * recall / max(precision + recall, 1e-9)]
         figures |= dict(zip((f"precision{key}", f"recall{key}", f"f{key}"), scores, strict=True))
     return figures
-
-
-@cache
-def _airline() -> AirLine:
-    return AirLine()
 
 
 def _lsd(image: ArrayLike) -> LineSet:

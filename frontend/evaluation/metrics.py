@@ -7,9 +7,9 @@ all figures are of the tracker and none of the detector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,33 +29,39 @@ def identity_scores(records: Sequence[Record]) -> Figures:
     """All figures of a run, as the command's JSON has them; None where nothing is there to be measured.
 
     Lengths are frames in which a track, or a true line, was seen; `alive_5` is the share of tracks seen in 5 or more. A
-    fragment's frames are those of the track it is a piece of. A track that jumps from line to line lives long, so
-    `pure_length_mean` counts only its frames on its most usual true line.
+    fragment's frames are those of the track it is a piece of.
     """
     link, (switches, fragments) = links(records), changes(records)
     lengths, visible = track_lengths(records), _counts([record.detected for record in records])
-    tracks = len(lengths)
-    figures: Figures = {
-        "link_precision": _ratio(link.right, link.right + link.wrong),
-        "link_recall": _ratio(link.found, link.possible),
+    return {
+        "link_precision": ratio(link.right, link.right + link.wrong),
+        "link_recall": ratio(link.found, link.possible),
         "wrong_links": link.wrong,
         "idf1": idf1(records),
-        "switches_per_100": _ratio(100 * switches, len(records)),
-        "fragments_per_100": _ratio(100 * fragments, len(records)),
-        "tracks": tracks,
-        "track_length_mean": float(lengths.mean()) if tracks else None,
-        "track_length_median": float(np.median(lengths)) if tracks else None,
-        "pure_length_mean": pure_length(records),
-        "visible_length_mean": float(visible.mean()) if len(visible) else None,
-        **{f"alive_{n}": float((lengths >= n).mean()) if tracks else None for n in ALIVE},
-        "ms": float(np.median([record.ms for record in records])) if records else None,
+        "switches_per_100": ratio(100 * switches, len(records)),
+        "fragments_per_100": ratio(100 * fragments, len(records)),
+        "tracks": len(lengths),
+        "track_length_mean": figure(np.mean, lengths),
+        "track_length_median": figure(np.median, lengths),
+        "visible_length_mean": figure(np.mean, visible),
+        **{f"alive_{n}": figure(np.mean, lengths >= n) for n in ALIVE},
+        "ms": figure(np.median, np.array([record.ms for record in records])),
     }
-    return rounded(figures)
 
 
-def rounded(figures: Figures) -> Figures:
-    """The figures to four decimals."""
-    return {key: round(value, 4) if isinstance(value, float) else value for key, value in figures.items()}
+def figure(what: Callable[[Array], Any], values: NDArray[Any]) -> float | None:
+    """A figure, such as `np.mean`, of the values that are not NaN, to four decimals; None without any."""
+    known = values[~np.isnan(values)]
+    return round(float(what(known)), 4) if len(known) else None
+
+
+def rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def ratio(part: float, whole: float) -> float | None:
+    """To four decimals; None of nothing."""
+    return round(float(part / whole), 4) if whole else None
 
 
 class Links(NamedTuple):
@@ -100,22 +106,20 @@ def idf1(records: Sequence[Record]) -> float | None:
         2 TP / (truth + answer) in [0, 1]; None where nothing is to be tracked.
     """
     truth = sum(len(record.detected) for record in records)
-    claims = _claims(records, detected=True)
-    if truth == 0:
-        return None
+    claims = _claims(records)
     tracks, track = np.unique(claims[:, 1], return_inverse=True)
     lines, line = np.unique(claims[:, 2], return_inverse=True)
     together = np.zeros((len(tracks), len(lines)))
     np.add.at(together, (track, line), 1)
     agreed = together[linear_sum_assignment(together, maximize=True)].sum()
-    return float(2 * agreed / (truth + len(claims)))
+    return ratio(2 * agreed, truth + len(claims)) if truth else None
 
 
-def _claims(records: Sequence[Record], detected: bool = False) -> NDArray[np.int64]:
-    """(K, 3) int64 frame, track and true line, perhaps only where the line was detected; no two rows alike."""
+def _claims(records: Sequence[Record]) -> NDArray[np.int64]:
+    """(K, 3) int64 frame, track and true line, where the line was detected; no two rows alike."""
     claims = [np.zeros((0, 3), np.int64)]
     for frame, record in enumerate(records):
-        known = np.isin(record.owners, record.detected) if detected else record.owners >= 0
+        known = np.isin(record.owners, record.detected)
         pairs = np.stack([record.identities[known], record.owners[known]], axis=1)
         claims.append(np.unique(np.insert(pairs, 0, frame, axis=1), axis=0))
     return np.concatenate(claims)
@@ -167,13 +171,6 @@ def whole_tracks(records: Sequence[Record]) -> list[NDArray[np.int64]]:
     return [np.array([root(track) for track in record.tracked.ids.tolist()], np.int64) for record in records]
 
 
-def pure_length(records: Sequence[Record]) -> float | None:
-    """Mean number of frames in which a track was seen on the true line on which it was seen most; None without any."""
-    pairs, frames = np.unique(_claims(records)[:, 1:], axis=0, return_counts=True)
-    _, start = np.unique(pairs[:, 0], return_index=True)
-    return float(np.maximum.reduceat(frames, start).mean()) if len(start) else None
-
-
 def linked(before: Record, after: Record) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows of the tracks that are in both frames."""
     return np.intersect1d(before.tracked.ids, after.tracked.ids, assume_unique=True, return_indices=True)[1:]
@@ -181,7 +178,3 @@ def linked(before: Record, after: Record) -> tuple[NDArray[np.intp], NDArray[np.
 
 def _counts(ids: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.unique(np.concatenate([np.zeros(0, np.int64), *ids]), return_counts=True)[1]
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return part / whole if whole else None

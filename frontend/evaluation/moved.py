@@ -21,6 +21,7 @@ from frontend.evaluation.truth import Clip, Truth
 from frontend.frame import Frame
 from frontend.sources.listing import list_images
 from frontend.sources.stills import read_image
+from frontend.tracking.extents import visible_parts
 
 _VIEW = 0.75  # size of the clip's images over that of the photograph
 _ZOOM = 1.1  # pixels of the view per pixel of the photograph, in the mean
@@ -40,7 +41,7 @@ class MovedPhoto:
         return self.frames
 
     def __iter__(self) -> Iterator[tuple[Frame, Truth]]:
-        lines = _detector()(self.photo).segments
+        lines = airline()(self.photo).segments
         for i, homography in enumerate(smooth_homographies(self.photo.shape[::-1], self.size, self.frames, self.seed)):
             truth = moved_lines(lines, homography, self.size)
             yield Frame(i, round(i * 1_000_000_000 / FRAMES_PER_SECOND), self._image(homography, i)), truth
@@ -114,21 +115,14 @@ def _homography(photo: tuple[int, int], view: tuple[int, int], wave: NDArray[np.
 def moved_lines(lines: NDArray[np.float32], homography: NDArray[np.float64], size: tuple[int, int]) -> Truth:
     """What a view of `size` (width, height), px, shows of the photograph's lines (N, 2, 2), if it is long enough.
 
-    The view ends at the centres of its outermost pixels; ids are rows of `lines`.
+    Ids are rows of `lines`.
     """
     segments = warp(lines.astype(np.float64), homography)
-    start, delta = segments[:, 0], segments[:, 1] - segments[:, 0]
-    limit = np.array(size) - 1.0
-    # Liang and Barsky: along each axis the line is inside between two parameters.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = -start / delta, (limit - start) / delta
-    parallel = delta == 0
-    inside = (start >= 0) & (start <= limit)
-    low = np.where(parallel, np.where(inside, 0.0, 2.0), np.minimum(first, second)).max(axis=1).clip(min=0)
-    high = np.where(parallel, 1.0, np.maximum(first, second)).min(axis=1).clip(max=1)
-    kept = np.flatnonzero((high - low) * np.hypot(delta[:, 0], delta[:, 1]) >= MIN_LENGTH)
+    low, high, lengths = visible_parts(segments, size)
+    kept = np.flatnonzero(lengths >= MIN_LENGTH)
+    start, delta = segments[kept, :1], np.diff(segments[kept], axis=1)
     ends = np.stack([low, high], axis=1)[kept, :, None]
-    return Truth((start[kept, None] + ends * delta[kept, None]).astype(np.float32), kept.astype(np.int64))
+    return Truth((start + ends * delta).astype(np.float32), kept.astype(np.int64))
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
@@ -140,5 +134,6 @@ def _read(path: Path) -> NDArray[np.uint8]:
 
 
 @cache
-def _detector() -> AirLine:
+def airline() -> AirLine:
+    """The default detector."""
     return AirLine()

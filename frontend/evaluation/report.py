@@ -20,9 +20,8 @@ P, R: precision and recall of links, %. A link is a track seen in two
 IDF1: one track for each true line and one true line for each track, %.
 switch: changes of a true line's track per 100 frames; frag: those of them
   after frames in which the true line was not tracked.
-length, med: frames in which a track was seen, mean and median. pure: mean
-  frames of a track on the true line that it was on most. of: mean frames in
-  which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
+length, med: frames in which a track was seen, mean and median. of: mean frames
+  in which a true line was detected. >=3, >=5, >=10: tracks seen so often, %.
 visible: mean frames in which 15 px of a true line or more could be seen, of
   lines seen so in 5 frames and detected in one; covered: those of them in
   which the track that was on it most was on it; share: both as sums, %; all:
@@ -32,17 +31,17 @@ visible: mean frames in which 15 px of a true line or more could be seen, of
 jitter: end points against the true line, about the true motion; rms.
 Lines against the truth: of tracks seen in 4 frames and more. observed:
   detected and measured. across: end points from the true infinite line, px,
-  rms and what 68 % are below; along: from the true ends, rms and median.
+  rms and what 68 % are below; along: from the true ends, rms.
   offset, angle: error over the standard deviation that the tracker gives,
   what 68 % are below and the rms with errors cut at 3: 1 where covariances
   are honest.
 One line in space: of tracks seen in 5 frames and more those are good of which
   all end points stay within 2 px of the line in space that fits them. share:
   %; a frame: observations of good tracks over the clip's frames; rms: their
-  end points from that line, px; length: their mean frames; parallax: median
-  of all, deg. fused: the same of the tracker's fused lines; stable: of the
-  observations that it calls so. Below: share of good tracks, and of how many,
-  by the mean length of what was observed and by frames.
+  end points from that line, px; length: their mean frames. fused: the same of
+  the tracker's fused lines; stable: of the observations that it calls so.
+  Below: share of good tracks, and of how many, by the mean length of what was
+  observed and by frames.
 ms: median time of a tracker's update."""
 
 MATCH_LEGEND = """\
@@ -59,12 +58,11 @@ STEREO_LEGEND = """\
 ours: partners of the tracks. plain: LSD in both images, tracks by optical flow,
 and of the lines with the same rows, direction and grey levels the one with the
 least disparity. P: precision of partners whose true lines are known in both
-images, %; wrong: how many are not right; unknown: how many others there are;
-astray: those of them with a known line on the left alone. R: of lines that can
-be seen in both images those with the right partner, %. depth: partners that
-tell how far away both ends are, flat: such along the rows, %. rms, median: of
-the disparity's errors at the ends, px. chi2: mean of their squares over what
-the variances say, chi2 50 %: the same from the median; 1 where these are honest.
+images, %; wrong: how many are not right; unknown: how many others there are.
+R: of lines that can be seen in both images those with the right partner, %.
+depth: partners that tell how far away both ends are, flat: such along the
+rows, %. rms, median: of the disparity's errors at the ends, px. chi2: mean of
+their squares over what the variances say, 1 where these are honest.
 By distance: median error over it, % (ends). Lines from a first pair: of tracks
 seen in 5 frames and more those whose first pair tells their line in space;
 always, usually: it is within 2 px of what was seen in all later frames, in the
@@ -73,119 +71,106 @@ median length and distance of the median one, and the spread over the pairs
 (1.48 times the median deviation). ms: median time of matching."""
 
 Row = Mapping[str, Any]  # a tracker's figures
-Columns = Mapping[str, Callable[[Row], str]]
+Columns = Mapping[str, str | Callable[[Row], str]]  # by their headings: a figure's key, with % for shares
 
 
-def _number(key: str, form: str, factor: int = 1) -> Callable[[Row], str]:
-    return lambda row: "-" if row[key] is None else format(row[key] * factor, form)
+def _text(row: Row, column: str | Callable[[Row], str]) -> str:
+    if not isinstance(column, str):
+        return column(row)
+    value = row[column.removesuffix(" %")]
+    if value is None or isinstance(value, int):
+        return "-" if value is None else str(value)
+    return f"{100 * value:.1f}" if column.endswith("%") else f"{value:.2f}"
 
 
-def _group(kind: str, name: str, what: str = "share", count: str = "tracks", form: str = ".0f") -> Callable[[Row], str]:
-    share = _number(what, form, 100)
-    return lambda row: f"{share(row[kind][name])} ({row[kind][name][count]})"
+def _group(kind: str, name: str, what: str = "share", count: str = "tracks") -> Callable[[Row], str]:
+    """A share, and of how many, among those of one kind."""
+    return lambda row: f"{_text(row[kind][name], f'{what} %')} ({row[kind][name][count]})"
 
 
 IDENTITIES: Columns = {
-    "P": _number("link_precision", ".1f", 100),
-    "R": _number("link_recall", ".1f", 100),
-    "wrong": _number("wrong_links", "d"),
-    "IDF1": _number("idf1", ".1f", 100),
-    "switch": _number("switches_per_100", ".0f"),
-    "frag": _number("fragments_per_100", ".0f"),
-    "ms": _number("ms", ".1f"),
+    **{"P": "link_precision %", "R": "link_recall %", "wrong": "wrong_links", "IDF1": "idf1 %"},
+    **{"switch": "switches_per_100", "frag": "fragments_per_100", "ms": "ms"},
 }
 LIVES: Columns = {
-    "tracks": _number("tracks", "d"),
-    "length": _number("track_length_mean", ".1f"),
-    "med": _number("track_length_median", ".0f"),
-    "pure": _number("pure_length_mean", ".1f"),
-    "of": _number("visible_length_mean", ".1f"),
-    ">=3": _number("alive_3", ".0f", 100),
-    ">=5": _number("alive_5", ".0f", 100),
-    ">=10": _number("alive_10", ".0f", 100),
+    **{"tracks": "tracks", "length": "track_length_mean", "med": "track_length_median", "of": "visible_length_mean"},
+    **{">=3": "alive_3 %", ">=5": "alive_5 %", ">=10": "alive_10 %"},
 }
 COVERAGE: Columns = {
-    "lines": _number("lines", "d"),
-    "visible": _number("visible_mean", ".1f"),
-    "covered": _number("covered_mean", ".1f"),
-    "share": _number("coverage", ".1f", 100),
-    "all": _number("coverage_of_all", ".1f", 100),
-    "80 %": _number("covered_most", ".1f", 100),
-    "<3": _number("under_3", ".1f", 100),
-    "confirmed": _number("confirmed_under_3", ".1f", 100),
+    **{"lines": "lines", "visible": "visible_mean", "covered": "covered_mean", "share": "coverage %"},
+    **{"all": "coverage_of_all %", "80 %": "covered_most %", "<3": "under_3 %", "confirmed": "confirmed_under_3 %"},
 }
-JITTER: Columns = {"across": _number("jitter_across_px", ".2f"), "along": _number("jitter_along_px", ".1f")}
+JITTER: Columns = {"across": "jitter_across_px", "along": "jitter_along_px"}
 ACCURACY: Columns = {
-    "lines": _number("lines", "d"),
-    "across": _number("across_px", ".3f"),
-    "68 %": _number("across_68_px", ".3f"),
-    "along": _number("along_px", ".2f"),
-    "median": _number("along_median_px", ".2f"),
-    "offset": _number("offset_68", ".2f"),
-    "rms": _number("offset_rms", ".2f"),
-    "angle": _number("angle_68", ".2f"),
-    "rms ": _number("angle_rms", ".2f"),
+    **{"lines": "lines", "across": "across_px", "68 %": "across_68_px", "along": "along_px"},
+    **{"offset": "offset_68", "rms": "offset_rms", "angle": "angle_68", "rms ": "angle_rms"},
 }
 MATCHES: Columns = {
-    "first": _number("lines", ".0f"),
-    "pairs": _number("pairs", "d"),
-    **{
-        f"{name}{px}": _number(f"{key}{px and '_' + px.strip()}", ".1f", 100)
-        for px in ("", " 3px", " 5px")
-        for name, key in (("P", "precision"), ("R", "recall"), ("F", "f"))
-    },
-    "ms": _number("ms", ".0f"),
+    **{"first": "lines", "pairs": "pairs", "P": "precision %", "R": "recall %", "F": "f %"},
+    **{"P 3px": "precision_3px %", "R 3px": "recall_3px %", "F 3px": "f_3px %"},
+    **{"P 5px": "precision_5px %", "R 5px": "recall_5px %", "F 5px": "f_5px %", "ms": "ms"},
 }
 CONSISTENT: Columns = {
-    "tracks": _number("tracks", "d"),
-    "good": _number("consistent", "d"),
-    "share": _number("share", ".1f", 100),
-    "a frame": _number("observations_per_frame", ".1f"),
-    "rms": _number("rms_across_px", ".2f"),
-    "length": _number("length_mean", ".1f"),
-    "parallax": _number("parallax_deg", ".2f"),
-    "ms": _number("ms", ".1f"),
+    **{"tracks": "tracks", "good": "consistent", "share": "share %", "a frame": "observations_per_frame"},
+    **{"rms": "rms_across_px", "length": "length_mean", "ms": "ms"},
 }
 PARTNERS: Columns = {
-    "pairs": _number("partners", "d"),
-    "P": _number("precision", ".1f", 100),
-    "wrong": _number("wrong", "d"),
-    "unknown": _number("unknown", "d"),
-    "astray": _number("astray", "d"),
-    "R": _number("recall", ".1f", 100),
-    "ms": _number("ms", ".1f"),
+    **{"pairs": "partners", "P": "precision %", "wrong": "wrong", "unknown": "unknown", "R": "recall %", "ms": "ms"},
 }
 DISPARITIES: Columns = {
-    "depth": _number("depth_known", ".0f", 100),
-    "flat": _number("along_rows", ".0f", 100),
-    "rms": _number("disparity_rms_px", ".2f"),
-    "median": _number("disparity_median_px", ".2f"),
-    "chi2": _number("chi2", ".2f"),
-    "chi2 50 %": _number("chi2_median", ".2f"),
+    **{"depth": "depth_known %", "flat": "along_rows %"},
+    **{"rms": "disparity_rms_px", "median": "disparity_median_px", "chi2": "chi2"},
 }
 FIRST_PAIRS: Columns = {
-    "tracks": _number("tracks", "d"),
-    "of": _number("of", "d"),
-    "always": _number("always", "d"),
-    "share": _number("always_share", ".1f", 100),
-    "usually": _number("usually", "d"),
-    "share ": _number("usually_share", ".1f", 100),
-    "ms": _number("ms", ".1f"),
+    **{"tracks": "tracks", "of": "of", "always": "always", "share": "always_share %"},
+    **{"usually": "usually", "share ": "usually_share %", "ms": "ms"},
 }
 AT_REST: Columns = {
-    "tracks": _number("tracks", "d"),
-    "length, m": _number("length_m", ".2f"),
-    "spread, %": _number("length_spread", ".1f", 100),
-    "distance, m": _number("depth_m", ".2f"),
-    "spread, % ": _number("depth_spread", ".1f", 100),
-    "ms": _number("ms", ".1f"),
+    **{"tracks": "tracks", "length, m": "length_m", "spread, %": "length_spread %"},
+    **{"distance, m": "depth_m", "spread, % ": "depth_spread %", "ms": "ms"},
 }
 BY_LENGTH: Columns = {f"{name} px": _group("by_length", name) for name in LENGTHS}
 BY_FRAMES: Columns = {name: _group("by_frames", name) for name in FRAMES}
-BY_DISTANCE: Columns = {f"from {low} m": _group("depth", f"{low}", "error", "ends", ".1f") for low in DISTANCES}
+BY_DISTANCE: Columns = {f"from {low} m": _group("depth", f"{low}", "error", "ends") for low in DISTANCES}
 
 
-def table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) -> Table:
+# What the figures of a kind, by clip and tracker, are shown in: title and columns.
+TABLES: Mapping[str, Mapping[str, Columns]] = {
+    "matches": {"Pairs of lines of two images": MATCHES},
+    "partners": {
+        "Partners in the right image": PARTNERS,
+        "Their disparities": DISPARITIES,
+        "Error of distances, %": BY_DISTANCE,
+    },
+    "first_pairs": {"Lines from a first pair": FIRST_PAIRS},
+    "at_rest": {"Upright lines at rest": AT_REST},
+    "sequences": {
+        "Identities": IDENTITIES,
+        "Tracks": LIVES,
+        "True lines and the tracks that cover them": COVERAGE,
+        "Jitter of end points, px": JITTER,
+    },
+    "accuracy": {"Lines against the truth": ACCURACY},
+    "posed": {
+        "Tracks that are one line in space": CONSISTENT,
+        "The same by length of line, %": BY_LENGTH,
+        "The same by frames, %": BY_FRAMES,
+    },
+}
+
+
+def show(figures: Mapping[str, Mapping[str, Mapping[str, Row]]], legend: str) -> None:
+    """Print all tables that have rows: of every kind, by the name of the clip, then of the tracker."""
+    from rich.console import Console
+
+    console = Console()
+    for kind, clips in figures.items():
+        for title, columns in TABLES[kind].items() if clips else ():
+            console.print(_table(title, clips, columns))
+    console.print(legend)
+
+
+def _table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) -> Table:
     """The name of every clip, and a row for each of its trackers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -197,6 +182,6 @@ def table(title: str, clips: Mapping[str, Mapping[str, Row]], columns: Columns) 
     for clip, rows in clips.items():
         table.add_row(clip)
         for name, row in rows.items():
-            table.add_row(f"  {name}", *(text(row) for text in columns.values()))
+            table.add_row(f"  {name}", *(_text(row, column) for column in columns.values()))
         table.add_section()
     return table

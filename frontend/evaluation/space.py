@@ -53,7 +53,6 @@ def triangulate(poses: Array, segments: Array, K: Array) -> Array:
         _errors,
         np.zeros(4),
         args=(point, direction, unit, sideways, _to_image(poses, K), np.ascontiguousarray(centres), segments),
-        Dfun=_slopes,
         ftol=PRECISE,
         xtol=PRECISE,
         gtol=PRECISE,
@@ -72,12 +71,6 @@ def image_lines(poses: Array, line: Array, K: Array) -> Array:
 def distances(segments: Array, lines: Array) -> Array:
     """(N, 2) distances of end points (N, 2, 2) to image lines (N, 3), px."""
     return np.asarray(np.abs(np.einsum("nec,nc->ne", segments, lines[:, :2]) + lines[:, 2:]))
-
-
-def parallax(poses: Array, segments: Array, K: Array) -> float:
-    """Largest angle between the planes of two observations, degrees."""
-    normals = plane_normals(poses, segments, K)
-    return float(np.rad2deg(np.arccos(np.clip(np.abs(normals @ normals.T).min(), 0, 1))))
 
 
 def plane_normals(poses: Array, segments: Array, K: Array) -> Array:
@@ -104,26 +97,6 @@ def _errors(change, point, direction, unit, sideways, to_image, centres, segment
         for end in range(2):
             errors[2 * row + end] = (a * segments[row, end, 0] + b * segments[row, end, 1] + c) / size
     return errors
-
-
-@njit()
-def _slopes(change, point, direction, unit, sideways, to_image, centres, segments):  # type: ignore[no-untyped-def]
-    """(2 N, 4) derivatives of the errors by the change."""
-    moved = point + unit * (change[0] * sideways[0] + change[1] * sideways[1])
-    turned = direction + change[2] * sideways[0] + change[3] * sideways[1]
-    slopes = np.empty((2 * len(segments), 4))
-    for row in range(len(segments)):
-        arm = moved - centres[row]
-        a, b, c = _project(to_image[row], arm, turned)
-        size = max(np.hypot(a, b), TINY)
-        for k in range(4):
-            side = sideways[k % 2]
-            da, db, dc = _project(to_image[row], unit * side, turned) if k < 2 else _project(to_image[row], arm, side)
-            growth = (a * da + b * db) / size**2
-            for end in range(2):
-                x, y = segments[row, end]
-                slopes[2 * row + end, k] = (da * x + db * y + dc - growth * (a * x + b * y + c)) / size
-    return slopes
 
 
 @njit()

@@ -20,12 +20,11 @@ from airline.evaluation.benchmark import lsd
 from airline.image import to_uint8
 from airline.lines import LineSet
 from airline.scenes import RenderedClip, RenderedView
-from frontend.evaluation.baselines import FlowTracker
-from frontend.evaluation.metrics import Figures, rounded
-from frontend.evaluation.nearest_on_rows import end_errors, nearest_on_rows
+from frontend.evaluation.baselines import FlowTracker, end_errors, nearest_on_rows
+from frontend.evaluation.metrics import Figures, figure, rms
 from frontend.evaluation.posed import Posed
 from frontend.evaluation.space import distances, image_lines
-from frontend.evaluation.truth import AMBIGUOUS, UNKNOWN, Truth, longest_pieces, owners
+from frontend.evaluation.truth import AMBIGUOUS, Truth, longest_pieces, owners
 from frontend.frame import Frame
 from frontend.sources.scene import frame_of
 from frontend.stereo.disparity import detection_errors, disparities, in_metres, own_covariances
@@ -36,7 +35,6 @@ from frontend.tracks import LineTracks
 FRAMES = 60  # of a rendered clip
 LINE = 15.0  # px of a line in both images, and half of it, that make it visible in both
 DISTANCES = (1, 2, 4, 8, 16)  # m, where groups of distances begin
-MEDIAN = 2 * np.log(2)  # of chi-square with two degrees of freedom
 MIN_FRAMES, MAX_ERROR = 5, 2.0  # of a track; px, of the line from its first pair in later frames
 UPRIGHT = float(np.cos(np.deg2rad(15.0)))
 
@@ -198,13 +196,8 @@ def partner_scores(run: Sequence[Pairs], truths: Sequence[PairTruth]) -> dict[st
     """Figures of a run over pairs with truth, None without anything to count.
 
     Returns:
-        partners: lines with one. precision: of those where both true lines are known, that are the same; wrong: how
-        many are not; unknown: how many others there are; astray: those of them with a known line on the left alone.
-        recall: of left lines that can be seen in both images, those with the right one, where that is known; visible:
-        how many there are. depth_known: share of partners; along_rows: of those without a disparity. Of right partners
-        with known depth: disparity_rms_px, disparity_median_px: of the errors at both ends; chi2, chi2_median: their
-        squares over what the covariances say, per degree of freedom, 1 where these are honest. depth: by true distance,
-        m, the median error over it and the number of ends. ms: median time of matching.
+        as `report.STEREO_LEGEND` says, shares in [0, 1]; visible: how many lines can be seen in both images; depth: by
+        true distance, m, the median error over it and the number of ends; ms: median time of matching.
     """
     judged = [_judged(pairs, truth) for pairs, truth in zip(run, truths, strict=True)]
     rows = {name: np.concatenate([one[name] for one in judged]) for name in judged[0]}
@@ -212,31 +205,24 @@ def partner_scores(run: Sequence[Pairs], truths: Sequence[PairTruth]) -> dict[st
     seen, sure = rows["seen"] & ~(has & ~known), right & depth
     error, square, ratio = rows["error"][sure], rows["square"][sure], rows["ratio"][sure]
     group = np.digitize(rows["distance"][sure], DISTANCES) - 1
-    figures = {
+    return {
         "partners": int(has.sum()),
-        "precision": _over(np.mean, right[known]),
+        "precision": figure(np.mean, right[known]),
         "wrong": int((known & ~right).sum()),
         "unknown": int((has & ~known).sum()),
-        "astray": int(rows["astray"].sum()),
         "visible": int(seen.sum()),
-        "recall": _over(np.mean, right[seen]),
-        "depth_known": _over(np.mean, depth[has]),
-        "along_rows": _over(np.mean, rows["flat"][has]),
-        "disparity_rms_px": _over(np.mean, error**2, 0.5),
-        "disparity_median_px": _over(np.median, np.abs(error)),
-        "chi2": _over(np.mean, square / 2),
-        "chi2_median": _over(np.median, square / MEDIAN),
-        "ms": _over(np.median, np.array([pairs.ms for pairs in run])),
+        "recall": figure(np.mean, right[seen]),
+        "depth_known": figure(np.mean, depth[has]),
+        "along_rows": figure(np.mean, rows["flat"][has]),
+        "disparity_rms_px": figure(rms, error.ravel()),
+        "disparity_median_px": figure(np.median, np.abs(error).ravel()),
+        "chi2": figure(np.mean, square / 2),
+        "ms": figure(np.median, np.array([pairs.ms for pairs in run])),
+        "depth": {
+            f"{low}": {"error": figure(np.median, np.abs(ratio[group == k] - 1)), "ends": int((group == k).sum())}
+            for k, low in enumerate(DISTANCES)
+        },
     }
-    groups = {
-        f"{low}": {"error": _over(np.median, np.abs(ratio[group == k] - 1)), "ends": int((group == k).sum())}
-        for k, low in enumerate(DISTANCES)
-    }
-    return {**rounded(figures), "depth": {name: rounded(one) for name, one in groups.items()}}
-
-
-def _over(what: Callable[[Array], Any], values: NDArray[Any], power: float = 1.0) -> float | None:
-    return float(what(values) ** power) if values.size else None
 
 
 def _judged(pairs: Pairs, truth: PairTruth) -> dict[str, NDArray[Any]]:
@@ -257,7 +243,6 @@ def _judged(pairs: Pairs, truth: PairTruth) -> dict[str, NDArray[Any]]:
         "has": has,
         "known": has & (own >= 0) & (other >= 0),
         "right": right,
-        "astray": has & (own >= 0) & (other == UNKNOWN),
         "seen": truth.visible(pairs.left, own),
         "depth": pairs.known,
         "flat": has & np.isnan(pairs.disparity).any(axis=1),
@@ -287,9 +272,8 @@ def first_pair_scores(run: Sequence[Pairs], clip: Posed) -> Figures:
         clip: the left camera's poses in these frames, and maybe more.
 
     Returns:
-        tracks: those seen in 5 frames and more of which the first frame tells the depth; of: all seen so often. always,
-        usually: how many are within 2 px (both ends from the infinite line) of what was seen in all later frames, and
-        in the median one; always_share, usually_share: of tracks. ms: median time of matching.
+        of: tracks seen in 5 frames and more; tracks: those of them of which the first frame tells the depth; the others
+        as `report.STEREO_LEGEND` says. ms: median time of matching.
     """
     seen: dict[int, list[tuple[int, int]]] = {}  # frame and row of every observation
     for frame, pairs in enumerate(run):
@@ -305,26 +289,22 @@ def first_pair_scores(run: Sequence[Pairs], clip: Posed) -> Figures:
             median.append(np.median(errors))
     always: Mask = np.array(worst) <= MAX_ERROR
     usually: Mask = np.array(median) <= MAX_ERROR
-    return rounded(
-        {
-            "of": len(long),
-            "tracks": len(always),
-            "always": int(always.sum()),
-            "always_share": _over(np.mean, always),
-            "usually": int(usually.sum()),
-            "usually_share": _over(np.mean, usually),
-            "ms": _over(np.median, np.array([pairs.ms for pairs in run])),
-        }
-    )
+    return {
+        "of": len(long),
+        "tracks": len(always),
+        "always": int(always.sum()),
+        "always_share": figure(np.mean, always),
+        "usually": int(usually.sum()),
+        "usually_share": figure(np.mean, usually),
+        "ms": figure(np.median, np.array([pairs.ms for pairs in run])),
+    }
 
 
 def rest_scores(run: Sequence[Pairs]) -> Figures:
     """How steady upright lines (15 degrees from the columns) are in space while the camera rests.
 
     Returns:
-        tracks: those with known depth in half of the pairs and more. length_m, depth_m: medians over these of their
-        medians over the pairs; length_spread, depth_spread: medians of their standard deviations over these, by 1.4826
-        times the median deviation. ms: median time of matching.
+        as `report.STEREO_LEGEND` says, m, and spreads over these. ms: median time of matching.
     """
     measures: dict[int, list[tuple[float, float]]] = {}
     for pairs in run:
@@ -339,13 +319,11 @@ def rest_scores(run: Sequence[Pairs]) -> Figures:
     spreads = [1.4826 * np.median(np.abs(values - at), axis=0) / at for values, at in zip(long, middles, strict=True)]
     length, depth = middles.T
     length_spread, depth_spread = np.array(spreads).reshape(-1, 2).T
-    return rounded(
-        {
-            "tracks": len(long),
-            "length_m": _over(np.median, length),
-            "length_spread": _over(np.median, length_spread),
-            "depth_m": _over(np.median, depth),
-            "depth_spread": _over(np.median, depth_spread),
-            "ms": _over(np.median, np.array([pairs.ms for pairs in run])),
-        }
-    )
+    return {
+        "tracks": len(long),
+        "length_m": figure(np.median, length),
+        "length_spread": figure(np.median, length_spread),
+        "depth_m": figure(np.median, depth),
+        "depth_spread": figure(np.median, depth_spread),
+        "ms": figure(np.median, np.array([pairs.ms for pairs in run])),
+    }

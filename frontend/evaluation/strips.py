@@ -22,7 +22,7 @@ from frontend.frame import Frame
 CELLS = 8  # moments of a track's life
 CELL = 216  # px
 ZOOM = 3.0  # of lines that fit; longer ones are drawn smaller
-LEFT = 400  # px, of the whole image and the words beside the cells
+LEFT = 400  # px, of the words beside the cells
 GAP = 4
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel coordinates
 GREEN, ORANGE, MAGENTA, WHITE = (80, 255, 80), (0, 165, 255), (255, 0, 255), (255, 255, 255)
@@ -81,7 +81,7 @@ def draw_strips(frames: Iterable[Frame], strips: Sequence[Strip], cells: int = C
                 picture[top : top + CELL, left : left + CELL] = _cell(gray, strip, row)
                 if row == int(strip.errors.argmax()):
                     cv2.rectangle(picture, (left, top), (left + CELL - 1, top + CELL - 1), RED, 2)
-                    picture[top : top + CELL, :LEFT] = _card(gray, strip, row)
+                    picture[top : top + CELL, :LEFT] = _card(strip)
     return picture
 
 
@@ -134,34 +134,22 @@ def _cell(gray: Picture, strip: Strip, row: int) -> Picture:
     return cell
 
 
-def _card(gray: Picture, strip: Strip, row: int) -> Picture:
-    """What is said of the track beside its cells, under the whole image with the line in it."""
+def _card(strip: Strip) -> Picture:
+    """What is said of the track beside its cells."""
     card = np.full((CELL, LEFT, 3), 30, np.uint8)
-    scale = min(LEFT / gray.shape[1], (CELL - 84) / gray.shape[0])
-    small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    whole: Picture = np.repeat(small[..., None], 3, axis=2)
-    _draw(whole, scale * np.eye(2, 3), strip.rows.observed_px[row][None], GREEN, width=2)
-    card[: len(whole), : whole.shape[1]] = whole
     rows, delta = strip.rows, strip.rows.observed_px[:, 1] - strip.rows.observed_px[:, 0]
     words = (
         f"track {rows.ids[0]}: {len(rows)} frames, {rows.measured.sum()} measured",
         f"{rows.frames[0]} to {rows.frames[-1]}, {np.hypot(*delta.T).mean():.0f} px long, zoom {_zoom(strip):.1f}",
-        f"worst {strip.errors.max():.1f} px in {rows.frames[row]}, median {np.median(strip.errors):.1f}",
+        f"worst {strip.errors.max():.1f} px in {rows.frames[strip.errors.argmax()]}",
+        f"median {np.median(strip.errors):.1f} px",
     )
     for k, text in enumerate(words):
-        _write(card, text, (4, len(whole) + 19 + 20 * k), WHITE)
+        _write(card, text, (4, 20 + 20 * k), WHITE)
     return card
 
 
-def _draw(
-    canvas: Picture,
-    to_canvas: Array,
-    segments: Array,
-    colour: tuple[int, int, int],
-    *,
-    ticks: int = 0,
-    width: int = 1,
-) -> None:
+def _draw(canvas: Picture, to_canvas: Array, segments: Array, colour: tuple[int, int, int], ticks: int = 0) -> None:
     """Segments (N, 2, 2) of the image, with `ticks` px to both sides at their ends."""
     points = segments @ to_canvas[:, :2].T + to_canvas[:, 2]
     if ticks:
@@ -170,7 +158,7 @@ def _draw(
         ends = np.stack([points - across, points + across], axis=2).reshape(-1, 2, 2)
         points = np.concatenate([points, ends])
     fixed = np.rint(np.clip(points, -1e4, 1e4) * (1 << SHIFT)).astype(np.int32)
-    cv2.polylines(canvas, list(fixed), False, colour, width, cv2.LINE_AA, SHIFT)
+    cv2.polylines(canvas, list(fixed), False, colour, 1, cv2.LINE_AA, SHIFT)
 
 
 def _write(canvas: Picture, text: str, place: tuple[int, int], colour: tuple[int, int, int]) -> None:

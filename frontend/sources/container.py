@@ -14,7 +14,6 @@ from av.video.stream import VideoStream
 
 from airline.errors import InputError
 from frontend.sources import address, kinds
-from frontend.sources.motion_jpeg import JPEG
 from frontend.sources.pipe import Pipe
 
 MOST_PIXELS = 1 << 26
@@ -61,12 +60,10 @@ class VideoInput:
             self.pipe = self._place = Pipe(spec)
             self._resources.callback(self.pipe.close)
             self._start = self.pipe.start
-        elif kind == "folder":
-            raise InputError(f"{self.title} is a folder, not a video file")
+        elif kind in ("folder", "device"):
+            raise InputError(f"{self.title} is a {kind}, no video file: name one, or send a video through a pipe")
         elif kind in ("missing", "camera"):
             raise InputError(f"there is no video file {self.title}")
-        elif kind == "device":
-            raise InputError(f"{self.title} is a device, no video file: name one, or send a video through a pipe")
         else:
             self._start = kinds.start_of(spec)
             try:
@@ -83,7 +80,7 @@ class VideoInput:
         """Open it; it is closed with this."""
         limits = {"protocol_whitelist": _PROTOCOLS[self.way], "max_pixels": str(MOST_PIXELS)}
         more, timeout = (_RETRY, (_TIMEOUT_S, _TIMEOUT_S)) if self.way == "URL" else ({}, None)
-        form = "mjpeg" if self._start.startswith(JPEG) else None
+        form = "mjpeg" if self._start.startswith(kinds.JPEG) else None
         place: Any = self._place
         try:
             made: InputContainer = av.open(

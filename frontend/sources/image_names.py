@@ -7,18 +7,18 @@ import re
 from collections import Counter
 from pathlib import Path
 
-from natsort import natsorted, ns
+from natsort import natsorted
 
 from frontend.sources.kinds import LOG_SUFFIXES
 from frontend.sources.streams import says_depth
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".dib", ".tif", ".tiff", ".webp"}
-    | {".pbm", ".pgm", ".ppm", ".pnm", ".pam", ".gif", ".avif", ".heic", ".heif"}
+    | {".pbm", ".pgm", ".ppm", ".pnm", ".gif", ".avif", ".heic", ".heif"}
 )
 VIDEO_SUFFIXES = frozenset({".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".ts"})
 _UNREAD = {".jp2", ".j2k", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".tga", ".raw"}
-_PRINTF = re.compile(r"%(%|0?(\d*)d)|(#+)")
+_PRINTF = re.compile(r"(?:%0?(\d*)d|#+)")
 
 
 def is_image_name(text: str) -> bool:
@@ -39,30 +39,18 @@ def unread_in(folder: Path) -> list[str]:
 
 
 def in_natural_order(images: list[Path]) -> list[Path]:
-    """Images by the numbers in their names: some below zero, or all of them hexadecimal and equally long."""
-    stems = [path.stem for path in images]
-    below_zero = {bool(re.search(r"(?<![^_ =])-\d", stem)) for stem in stems} == {True, False}
-    ends = [re.fullmatch("(.*?)([0-9a-f]+|[0-9A-F]+)", stem) for stem in stems]
-    forms = {(end[1], len(end[2])) if end else None for end in ends}
-    if len(forms) == 1 and None not in forms and not all(end and end[2].isdecimal() for end in ends):
-        return sorted(images)
-    key = ns.REAL if below_zero else ns.DEFAULT
-    return natsorted(images, key=lambda path: (str(path.parent), path.stem, path.suffix), alg=key)
+    return natsorted(images, key=lambda path: (str(path.parent), path.stem, path.suffix))
 
 
 def matching(pattern: str) -> list[Path]:
     """The images that a glob pattern or one with a number (`%06d`, `####`) means."""
     files = [Path(name) for name in glob.glob(pattern, recursive=True)]  # noqa: PTH207
     if not files and _PRINTF.search(pattern):
-        parts, end = [("", "")], 0
-        for found in _PRINTF.finditer(pattern):
-            plain = pattern[end : found.start()]
-            width = len(found[3]) if found[3] else int(found[2] or 1) if found[1] != "%" else 0
-            parts += [(re.escape(plain), glob.escape(plain)), (rf"\d{{{width},}}", "*") if width else ("%", "%")]
-            end = found.end()
-        parts.append((re.escape(pattern[end:]), glob.escape(pattern[end:])))
-        expression = re.compile("".join(part[0] for part in parts))
-        names = glob.glob("".join(part[1] for part in parts))  # noqa: PTH207
+        plain = _PRINTF.split(pattern)[::2]
+        widths = [int(found[1] or 1) if found[1] is not None else len(found[0]) for found in _PRINTF.finditer(pattern)]
+        digits = [*(rf"\d{{{width},}}" for width in widths), ""]
+        expression = re.compile("".join(re.escape(text) + number for text, number in zip(plain, digits, strict=True)))
+        names = glob.glob("*".join(map(glob.escape, plain)))  # noqa: PTH207
         files = [Path(name) for name in names if expression.fullmatch(name)]
     return in_natural_order([file for file in files if _is_image(file)])
 

@@ -16,9 +16,10 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath
 from statistics import median
 from typing import NamedTuple
 
@@ -53,7 +54,7 @@ _MOST_TABLES = 100
 _MOST_FOLDERS = 8  # of images, of which the first is taken
 _SOME_LINES = 50  # tell a table of times from others, of which there may be many
 _EACH_MOST = 1 << 24  # bytes of a table that is not known by its name
-_OTHER_TIMES = ("timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
+_TIMES = ("times.txt", "timestamps.txt", "timestamp.txt", "times.csv", "timestamps.csv")
 
 
 class ImageRow(NamedTuple):
@@ -110,24 +111,20 @@ def list_images(spec: str | os.PathLike[str], fps: float) -> Listing:
     if listing is None:
         raise InputError(nothing_in(root) if root.is_dir() else nothing_like(root))
     for before, after in pairwise(listing.rows):
-        if after.stamp_ns == before.stamp_ns:
+        if after.stamp_ns <= before.stamp_ns:
+            what = "have the same time" if after.stamp_ns == before.stamp_ns else "are not in the order of their times"
             raise InputError(
-                f"'{before.path.name}' and '{after.path.name}' of '{root}' have the same time: name one of several "
-                "cameras by a glob pattern, or correct the times"
+                f"'{before.path.name}' and '{after.path.name}' of '{root}' {what}: name one of several cameras by a "
+                "glob pattern, or correct the times"
             )
-        if after.stamp_ns < before.stamp_ns:
-            raise InputError(
-                f"the times of '{root}' are out of order: '{after.path.name}' is not later than '{before.path.name}'"
-            )
+    notes, first_ns = list(listing.notes), listing.rows[0].stamp_ns
     steps = [after.stamp_ns - before.stamp_ns for before, after in pairwise(listing.rows)]
     if steps and (step := median(steps)) > _LONG_STEP:
-        slow = f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit"
-        listing = replace(listing, notes=(*listing.notes, slow))
-    if (first_ns := listing.rows[0].stamp_ns) < 0:
-        rows = [row._replace(stamp_ns=row.stamp_ns - first_ns) for row in listing.rows]
-        below = f"times begin below zero, at {first_ns / 1e9:g} s, and are counted from there"
-        listing = replace(listing, rows=rows, notes=(*listing.notes, below))
-    return listing
+        notes.append(f"images are {step / 1e9:g} s apart by their times: correct these if that is another unit")
+    if first_ns < 0:
+        notes.append(f"times begin below zero, at {first_ns / 1e9:g} s, and are counted from there")
+    rows = [row._replace(stamp_ns=row.stamp_ns - min(first_ns, 0)) for row in listing.rows]
+    return Listing(rows, listing.kind, tuple(notes))
 
 
 def folder_of(rows: Sequence[ImageRow]) -> Path | None:
@@ -172,22 +169,22 @@ def _kitti_raw(root: Path) -> Listing | None:
 
 def _timed_by_line(root: Path, images: list[Path], notes: list[str]) -> Listing | None:
     """A table with a time for each image. One of the folder above may be of other images, which is noted."""
-    for table in (root / "times.txt", root.parent / "times.txt"):
-        if images and table.is_file():
-            return _by_line(table, images, "KITTI sequence", [])
-    for table in (folder / name for folder in (root, root.parent) for name in _OTHER_TIMES):
+    for table in (folder / name for name in _TIMES for folder in (root, root.parent)):
         if images and table.is_file() and not any(map(is_image_name, fields_of(",".join(lines_of(table)[:2])))):
+            is_kitti = table.name == _TIMES[0]
             try:
-                return _by_line(table, images, f"images with times in '{table.name}'", [])
+                return _by_line(
+                    table, images, "KITTI sequence" if is_kitti else f"images with times in '{table.name}'", []
+                )
             except InputError as error:
-                if table.parent == root:
+                if is_kitti or table.parent == root:
                     raise
                 notes.append(f"times above are not taken: {error}")
     return None
 
 
 def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Listing:
-    """A time for each image in order, or by the id, which is its name or number, before it.
+    """A time for each image: by the id before it, which is the image's name or number, in order, or by its number.
 
     Raises:
         InputError: the number of times differs, and the images' names do not tell which are theirs.
@@ -197,47 +194,36 @@ def _by_line(table: Path, images: list[Path], kind: str, notes: list[str]) -> Li
     if any(len(row) < 2 <= len(rows[0]) for row in rows):
         raise InputError(f"'{table}' has a line without a time")
     columns = list(zip(*rows, strict=False))
-    ids = columns[0] if len(columns) > 1 and _are_ids(columns[0], images) else ()
-    column = _time_column(columns, heading)
+    numbers = [_whole(path.stem) for path in images]
+    ids = [number for text in columns[0] if (number := _whole(text)) is not None] if len(columns) > 1 else []
+    if len(ids) < len(rows) or not (set(numbers) <= set(ids) or all(b == a + 1 for a, b in pairwise(ids))):
+        ids = []
+    column = _column_of_times(columns, heading)
     if column is None:
         column = 1 if ids else 0
         if any(all(map(is_number, texts)) for texts in columns[column + 1 :]):
             notes.append(f"of the numbers of '{table.name}' those in column {column + 1} are taken for times")
     unit = unit_said(heading[column]) if heading else ""
     stamps = stamps_of(columns[column] if columns else (), table, unit or "seconds", notes)
-    numbers = [_whole(path.stem) for path in images]
-    known = {_whole(text): stamp for text, stamp in zip(ids, stamps, strict=bool(ids))} if ids else {}
-    if known and all(number in known for number in numbers):
+    known: dict[int | None, int] = dict(zip(ids or range(len(stamps)), stamps, strict=True))
+    if set(numbers) <= set(known) and (ids or len(stamps) != len(images)):
         if len(known) != len(images):
-            notes.append(f"'{table.name}' has {len(known)} times for {len(images)} images: each takes that of its id")
+            which = "id" if ids else "number, from 0"
+            notes.append(
+                f"'{table.name}' has {len(known)} times for {len(images)} images: each takes that of its {which}"
+            )
         return _in_order([ImageRow(path, known[n]) for path, n in zip(images, numbers, strict=True)], kind, notes)
-    if len(stamps) == len(images):
-        rows_ = [ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)]
-        return Listing(rows_, kind, tuple(notes))
-    places = [number for number in numbers if number is not None]
-    if len(places) == len(images) < len(stamps) and max(places) < len(stamps):
-        notes.append(
-            f"'{table.name}' has {len(stamps)} times for {len(images)} images: each takes that of its number, from 0"
-        )
-        rows_ = [ImageRow(path, stamps[place]) for path, place in zip(images, places, strict=True)]
-        return _in_order(rows_, kind, notes)
-    raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
+    if len(stamps) != len(images):
+        raise InputError(f"'{table}' has {len(stamps)} times for {len(images)} images: correct or move it")
+    return Listing([ImageRow(image, stamp) for image, stamp in zip(images, stamps, strict=True)], kind, tuple(notes))
 
 
-def _are_ids(texts: Sequence[str], images: list[Path]) -> bool:
-    """Whether a column names the images, or counts them."""
-    numbers = [number for text in texts if (number := _whole(text)) is not None]
-    if len(numbers) < len(texts):
-        return False
-    return {_whole(path.stem) for path in images} <= set(numbers) or all(b == a + 1 for a, b in pairwise(numbers))
-
-
-def _time_column(columns: Sequence[Sequence[str]], heading: Sequence[str]) -> int | None:
-    """The first column of dates or of times since 1970, else the one whose heading tells of time."""
-    dated = (column for column, texts in enumerate(columns) if are_dates_or_since_1970(texts))
-    said = (column for column, text in enumerate(heading[: len(columns)]) if unit_said(text))
-    numbers = (column for column in said if all(map(is_number, columns[column])))
-    return next(dated, next(numbers, None))
+def _column_of_times(columns: Sequence[Sequence[str]], heading: Sequence[str], beside: int = 0) -> int | None:
+    """The column nearest to another of dates or times since 1970, else of those whose heading tells of time."""
+    dated = [column for column, texts in enumerate(columns) if are_dates_or_since_1970(texts)]
+    said = [column for column, text in enumerate(heading[: len(columns)]) if unit_said(text)]
+    numbers = [column for column in said if all(map(is_number, columns[column]))]
+    return min(dated or numbers, key=lambda column: abs(column - beside), default=None)
 
 
 def _whole(text: str) -> int | None:
@@ -247,8 +233,10 @@ def _whole(text: str) -> int | None:
 def _plain(images: list[Path], fps: float, folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
     """Images without a layout: times in their names, or in a table, or by the frame rate."""
     images = choose_frames(images, notes)
-    found = (_named_by_time(images, notes) if images else None) or _in_tables(images, folders, notes)
-    if found is not None or not images:
+    if not images:
+        return None
+    found = _named_by_time(images, notes) or _in_tables(images, folders, notes)
+    if found is not None:
         return found
     if len(images) > 1:
         notes.append(f"images without times are numbered by {fps:g} frames/s: --fps gives another rate")
@@ -277,108 +265,57 @@ def _in_order(rows: list[ImageRow], kind: str, notes: list[str]) -> Listing:
 
 def _in_tables(images: list[Path], folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
     """The table of any name, in the folder or the one above, that gives times to most of the images."""
+    known = {name: path for path in images for name in (str(_whole(path.stem)), path.stem, path.name)}
     best: list[ImageRow] = []
-    chosen, said = None, list[str]()
-    known = _known(images)
-    for folder in folders if images else folders[:1]:
+    for folder in folders:
         for table in natsorted([*folder.glob("*.txt"), *folder.glob("*.csv")], key=str)[:_MOST_TABLES]:
-            if not table.is_file() or table.stat().st_size > _EACH_MOST:
-                continue
-            words: list[str] = []
-            try:
-                rows = _table_of_any_name(table, known, words)
-            except InputError:  # no table of times
-                continue
-            if chosen is not None and len(rows) == len(best) and rows != best:
-                said.append(f"'{table.name}' has other times than '{chosen.name}', which is taken")
-            if len(rows) > len(best):
-                best, chosen, said = rows, table, words
-    if chosen is None or 2 * len(best) < len(images):
+            with suppress(InputError):  # no table of times
+                if table.is_file() and table.stat().st_size <= _EACH_MOST:
+                    words: list[str] = []
+                    rows = _table_of_any_name(table, known, words)
+                    if len(rows) > len(best):
+                        best, chosen, said = rows, table.name, words
+    if 2 * len(best) < len(images):
         return None
     missing = len(images) - len(best)
     if missing > 0:
-        said.append(f"left out of {len(images)} images for want of a time in '{chosen.name}': {missing}")
-    said.append(f"times are from '{chosen.name}'")
-    return _in_order(best, f"images with times in '{chosen.name}'", [*notes, *said])
-
-
-def _known(images: list[Path]) -> dict[str, Path]:
-    """Images by what tables call them: their name, with its suffix or without, or their number."""
-    known = {path.name: path for path in images}
-    for path in images:
-        known.setdefault(path.stem, path)
-    for path in images:
-        if (number := _whole(path.stem)) is not None:
-            known.setdefault(str(number), path)
-    return known
+        said.append(f"left out of {len(images)} images for want of a time in '{chosen}': {missing}")
+    return _in_order(best, f"images with times in '{chosen}'", [*notes, *said, f"times are from '{chosen}'"])
 
 
 def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) -> list[ImageRow]:
-    """Rows of a name and a time, or pairs "time  name" of colour and depth; [] for another kind of table.
+    """The images, by names that tables give them, with their times: dates, since 1970, or under a heading that says so.
 
-    The times are dates, since 1970, or have a heading that says so, or are the only numbers of a table without headings
-    and rise with the images.
+    Rows may name several pictures, as of colour and depth, each beside its time. [] for another kind of table.
     """
     lines = lines_of(table)
-    if len(lines) > _SOME_LINES and not _named_and_timed(lines[:_SOME_LINES], known)[1]:
+    if not any(_named(name, known) for line in lines[:_SOME_LINES] for name in fields_of(line)):
         return []
-    columns, pairs = _named_and_timed(lines, known)
-    for column, chosen, unit in pairs:
-        kept: dict[Path, str] = {}
-        for name, text in zip(columns[column], columns[chosen], strict=True):
-            path = _beside(name, table, known)
-            if path is not None:
+    heading, rows = split_heading([fields_of(line) for line in lines])
+    if len({len(row) for row in rows}) != 1:
+        return []
+    columns = list(zip(*rows, strict=True))
+    for column, names in enumerate(columns):
+        place = _column_of_times(columns, heading, column)
+        if place is None or place == column or says_depth(Path(names[0])):
+            continue
+        kept = dict[Path, str]()
+        for name, text in zip(names, columns[place], strict=True):
+            if (path := _named(name, known)) is not None:
                 kept.setdefault(path, text)
-        stamps = dict(zip(kept, stamps_of(list(kept.values()), table, unit or "seconds", notes), strict=True))
-        images = dict.fromkeys(known.values() if known else kept)
-        ordered = [ImageRow(path, stamps[path]) for path in images if path in kept]
-        rising = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(ordered))
-        if kept and plausible(stamps.values()) and (rising or unit):
-            if not unit:
-                notes.append(f"the only numbers of '{table.name}' that rise with the images are taken for times")
-            return ordered
+        if 2 * len(kept) >= len(rows) or is_image_name(names[0]):
+            unit = (unit_said(heading[place]) if heading else "") or "seconds"
+            stamps = dict(zip(kept, stamps_of(list(kept.values()), table, unit, notes), strict=True))
+            if plausible(stamps.values()):
+                return [ImageRow(path, stamps[path]) for path in dict.fromkeys(known.values()) if path in stamps]
     return []
 
 
-def _named_and_timed(
-    lines: list[str], known: dict[str, Path]
-) -> tuple[list[tuple[str, ...]], list[tuple[int, int, str]]]:
-    """The columns of a table; which may name images, which their times, and the unit, "" where all that is a guess."""
-    heading, rows = split_heading([fields_of(line) for line in lines])
-    if not rows or len(rows[0]) < 2 or len({len(row) for row in rows}) != 1:
-        return [], []
-    columns = list(zip(*rows, strict=True))
-    names = [column for column, texts in enumerate(columns) if is_image_name(texts[0])]
-    pairs = []
-    for column in names or range(len(columns) if known else 0):
-        if says_depth(Path(columns[column][0])) or (not names and len(set(columns[column])) < len(rows)):
-            continue
-        near = [c for c in range(len(columns)) if c not in names and c != column]
-        if len(names) > 1:
-            near = [c for c in (column - 1, column + 1) if c in near]
-        place = _time_column([columns[c] for c in near], [heading[c] for c in near] if heading else [])
-        numbers = [c for c in near if all(map(is_number, columns[c])) and not _are_counters(columns[c])]
-        if place is not None:
-            pairs.append((column, near[place], (unit_said(heading[near[place]]) if heading else "") or "seconds"))
-        elif not heading and len(numbers) == 1:
-            pairs.append((column, numbers[0], ""))
-    return columns, pairs
-
-
-def _are_counters(texts: Sequence[str]) -> bool:
-    """Whether numbers are whole ones that are no times since 1970: ids, classes, sizes."""
-    return None not in map(_whole, texts) and not are_dates_or_since_1970(texts)
-
-
-def _beside(name: str, table: Path, known: dict[str, Path]) -> Path | None:
-    """The image that a table names, from the table's folder or among those that are known."""
-    if not known:
-        place = table.parent / inside(name, table)
-        return place if place.is_file() else None
+def _named(name: str, known: dict[str, Path]) -> Path | None:
+    """The image that a table means, perhaps with its folder, written on any system."""
     path = PurePosixPath(name.replace("\\", "/"))
-    image = known.get(path.name) or known.get(path.stem if is_image_name(name) else str(_whole(name)))
-    elsewhere = path.parent.name not in ("", "..") and not PureWindowsPath(name).root  # absolute: from another machine
-    return None if image is None or (elsewhere and path.parent.name != image.parent.name) else image
+    image = known.get(path.name)
+    return image if image is not None and path.parent.name in ("", "..", image.parent.name) else None
 
 
 def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:

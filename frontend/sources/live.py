@@ -117,17 +117,11 @@ class LiveSource(Source):
 
 def _open(device: int | str) -> cv2.VideoCapture:
     with quiet():
-        return _open_stream(device) if isinstance(device, str) and "://" in device else _open_camera(device)
-
-
-def _open_camera(device: int | str) -> cv2.VideoCapture:
-    if isinstance(device, str):
-        return cv2.VideoCapture(device, cv2.CAP_V4L2)
-    return cv2.VideoCapture(device) if device < 100 else cv2.VideoCapture()  # which reads 100, 200, ... as drivers
-
-
-def _open_stream(url: str) -> cv2.VideoCapture:
-    if not url.isascii():  # OpenCV crashes on some
-        return cv2.VideoCapture()
-    timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
-    return cv2.VideoCapture(url, cv2.CAP_FFMPEG, timeouts)
+        if isinstance(device, int):
+            return cv2.VideoCapture(device) if device < 100 else cv2.VideoCapture()  # which reads 100, ... as drivers
+        if "://" not in device:
+            return cv2.VideoCapture(device, cv2.CAP_V4L2)
+        if not device.isascii():  # OpenCV crashes on some
+            return cv2.VideoCapture()
+        timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
+        return cv2.VideoCapture(device, cv2.CAP_FFMPEG, timeouts)

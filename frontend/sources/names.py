@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from decimal import Decimal
 from functools import partial
 from itertools import pairwise
@@ -23,11 +23,10 @@ _SHARE = 0.8  # of the names that have times, for those to count
 _NUMBER = re.compile(r"(?:(?<![^_ =])[-+])?(?<!\d)(?<!\d\.)\d+(?:\.\d+)?(?!\.?\d)")
 _PAIR = re.compile(r"(?<![\d.])(\d{9,10})([-_.])(\d{1,9})(?!\.?\d)")
 _DATE = re.compile(
-    r"(?<!\d)(?P<year>\d{4})(?:[-_.]?(?P<month>\d\d)[-_.]?(?P<day>\d\d)|[-_.](?P<day_of_year>\d{3})(?=\D))"
-    r"(?: at |[-_ T.])?(?P<hour>\d\d|\d(?=\D))[-_:.h]?(?P<minute>\d\d)[-_:.m]?(?P<second>\d\d)"
-    r"(?:[.,s](?P<part>\d+)|[-_]?(?P<bare>\d{3}|\d{5,9}))?(?!\d)(?:[\s_-]?(?P<half>[AaPp])\.?[Mm](?![A-Za-z]))?"
+    r"(?<!\d)(\d{4})[-_.]?(\d\d)[-_.]?(\d\d)(?: at |[-_ T.])?(\d\d)[-_:.h]?(\d\d)[-_:.m]?(\d\d)"
+    r"(?:(?:[.,s]|[-_]?(?=\d{3}(?!\d)|\d{5,9}(?!\d)))(?P<part>\d+))?(?!\d)"
 )
-_CLOCK = re.compile(r"(?<!\d)(?:(\d{1,2})[-_:.h])?([0-5]\d)[-_:.m]([0-5]\d[.,]\d+)(?!\.?\d)")
+_CLOCK = re.compile(r"(?<!\d)[0-5]\d[-_:.m][0-5]\d[.,]\d")  # whose seconds alone are no time
 
 _Found = tuple[int, str]  # a stamp in ns, and the rest of the name
 _Read = Callable[[str], _Found | None]
@@ -91,10 +90,8 @@ def exact_ns(text: str, unit_ns: int) -> int | None:
 
 def _readers(names: Sequence[str]) -> Iterable[tuple[str, _Read]]:
     """What may be in the names, in words, and how it is read."""
-    dates = [found for name in names if (found := _DATE.search(name))]
-    parts = [(found[0][: found.start("second") - found.start() + 2], _part(found)) for found in dates]
-    yield "dates", partial(_date, whole=all(len(part) > 2 for _, part in parts) and _counts(parts))
-    seconds = partial(_number, last=False, unit="seconds")
+    dates = [("".join(found.groups()[:6]), found["part"] or "") for name in names if (found := _DATE.search(name))]
+    yield "dates", partial(_date, whole=all(len(part) > 2 for _, part in dates) and _counts(dates))
     pairs = [found.groups() for name in names if (found := _PAIR.search(name))]
     if pairs and not _counts([(whole, part) for whole, _, part in pairs]):
         point = any(between == "." for _, between, _ in pairs)
@@ -104,28 +101,19 @@ def _readers(names: Sequence[str]) -> Iterable[tuple[str, _Read]]:
         elif max(widths) > 4:  # as numbers are printed, without the zeros before them
             unit = "nanoseconds" if max(widths) > 6 else "microseconds"
             read = partial(_pair, part_ns=UNITS[unit])
-            if not point or (not any(part[0] == "0" < part for *_, part in pairs) and _evener(names, read, seconds)):
+            zeros = any(part[0] == "0" < part for *_, part in pairs)
+            if not point or (not zeros and _longest_step(names, read) < _longest_step(names, _number)):
                 yield f"seconds and {unit}", read
-    if not dates and _evener(names, _clock, partial(_any_number, last=True, unit_ns=SECOND)):
-        yield "hours, minutes and seconds", _clock
     for last in (False, True):
         for unit in UNITS:
-            read = partial(_number, last=last, unit=unit)
-            decimal = any("." in match[0] for name in names for match in _since_1970(name, unit))
-            yield f"{'decimal ' * decimal}{unit}", read
-        yield from _from_zero(names, last)
-
-
-def _from_zero(names: Sequence[str], last: bool) -> Iterable[tuple[str, _Read]]:
-    """Decimal seconds, or nanoseconds of 16 digits and more, of a clock that starts at zero."""
-    texts = [found[-1 if last else 0] for name in names if (found := _NUMBER.findall(name))]
-    parts = [text.split(".") for text in texts if "." in text]
-    if parts and not (len({whole for whole, _ in parts}) == 1 and _counts([("", part) for _, part in parts])):
-        stamps = [exact_ns(text, SECOND) for text in texts]
-        if None not in stamps and len(texts) > 1 and plausible(filter(None, stamps)):
-            yield "decimal seconds", partial(_any_number, last=last, unit_ns=SECOND)
-    elif texts and all(len(text) >= 16 for text in texts):  # four months
-        yield "nanoseconds", partial(_any_number, last=last, unit_ns=1)
+            decimal = any("." in match[0] for name in names for match in _numbers(name, unit))
+            yield f"{'decimal ' * decimal}{unit}", partial(_number, last=last, unit=unit)
+        texts = [numbers[-1 if last else 0] for name in names if (numbers := _NUMBER.findall(name))]
+        parts = [text.split(".") for text in texts if "." in text and not any(map(_CLOCK.search, names))]
+        if parts and not (len({whole for whole, _ in parts}) == 1 and _counts([("", part) for _, part in parts])):
+            stamps = [exact_ns(text, SECOND) for text in texts]
+            if None not in stamps and len(texts) > 1 and plausible(filter(None, stamps)):
+                yield "decimal seconds", partial(_number, last=last, since=False)
 
 
 def _counts(parts: Sequence[tuple[str, str]]) -> bool:
@@ -135,20 +123,11 @@ def _counts(parts: Sequence[tuple[str, str]]) -> bool:
     return bool(steps) and median(steps) == 1
 
 
-def _evener(names: Sequence[str], one: _Read, other: _Read) -> bool:
-    """Whether all names can be read in a way that makes the longest step between images shorter than another does."""
-    longest = []
-    for read in (one, other):
-        stamps = sorted(found[0] for name in names if (found := read(name)))
-        steps = [later - earlier for earlier, later in pairwise(stamps)] if len(stamps) == len(names) else []
-        longest.append(max(steps, default=_MOST_STAMP))
-        if not plausible(stamps):
-            return False
-    return longest[0] < longest[1]
-
-
-def _part(date: re.Match[str]) -> str:
-    return date["part"] or date["bare"] or ""
+def _longest_step(names: Sequence[str], read: _Read) -> int:
+    """Between images, ns; as long as can be where not all names have a time, or these make no sense."""
+    stamps = sorted(found[0] for name in names if (found := read(name)))
+    known = len(stamps) == len(names) > 1 and plausible(stamps)
+    return max(later - earlier for earlier, later in pairwise(stamps)) if known else _MOST_STAMP
 
 
 def _date(name: str, *, whole: bool) -> _Found | None:
@@ -156,26 +135,12 @@ def _date(name: str, *, whole: bool) -> _Found | None:
     found = _DATE.search(name)
     if found is None:
         return None
-    hour = int(found["hour"])
-    if found["half"]:  # of the day
-        hour = hour % 12 + 12 * (found["half"] in "Pp")
-    clock = hour, int(found["minute"]), int(found["second"])
     try:
-        day = datetime(int(found["year"]), int(found["month"] or 1), int(found["day"] or 1), *clock, tzinfo=UTC)
-        day += timedelta(days=int(found["day_of_year"] or 1) - 1)
+        day = datetime(*map(int, found.groups()[:6]), tzinfo=UTC)  # type: ignore[misc,arg-type]
     except ValueError:
         return None
-    stamp = int(day.timestamp()) * SECOND + (0 if whole else int(_part(found)[:9].ljust(9, "0")))
+    stamp = int(day.timestamp()) * SECOND + (0 if whole else int((found["part"] or "")[:9].ljust(9, "0")))
     return (stamp, _rest(name, found)) if _EPOCH[0] <= stamp < _EPOCH[1] else None
-
-
-def _clock(name: str) -> _Found | None:
-    *_, found = None, *_CLOCK.finditer(name)
-    if found is None:
-        return None
-    stamp = exact_ns(found[3].replace(",", "."), SECOND)
-    minutes = 60 * int(found[1] or 0) + int(found[2])
-    return None if stamp is None else (minutes * 60 * SECOND + stamp, _rest(name, found))
 
 
 def _pair(name: str, *, part_ns: int) -> _Found | None:
@@ -185,29 +150,17 @@ def _pair(name: str, *, part_ns: int) -> _Found | None:
     return int(found[1]) * SECOND + int(found[3]) * part_ns, _rest(name, found)
 
 
-def _since_1970(name: str, unit: str) -> list[re.Match[str]]:
+def _numbers(name: str, unit: str) -> list[re.Match[str]]:
     """The numbers of a name that are times since 1970 in a unit."""
     found = [match for match in _NUMBER.finditer(name) if len(match[0]) < 40]
     return [match for match in found if since_1970(int(match[0].split(".")[0])) == unit]
 
 
-def _number(name: str, *, last: bool, unit: str) -> _Found | None:
-    """The first or last time since 1970 of a name in a unit."""
-    found = _since_1970(name, unit)
-    if not found:
-        return None
-    match = found[-1 if last else 0]
-    stamp = exact_ns(match[0], UNITS[unit])
-    return None if stamp is None else (stamp, _rest(name, match))
-
-
-def _any_number(name: str, *, last: bool, unit_ns: int) -> _Found | None:
-    found = list(_NUMBER.finditer(name))
-    if not found:
-        return None
-    match = found[-1 if last else 0]
-    stamp = exact_ns(match[0], unit_ns)
-    return None if stamp is None else (stamp, _rest(name, match))
+def _number(name: str, *, last: bool = False, unit: str = "seconds", since: bool = True) -> _Found | None:
+    """The first or last time since 1970 of a name in a unit, or any number of that unit."""
+    found = _numbers(name, unit) if since else list(_NUMBER.finditer(name))
+    stamp = exact_ns(found[-1 if last else 0][0], UNITS[unit]) if found else None
+    return None if stamp is None else (stamp, _rest(name, found[-1 if last else 0]))
 
 
 def _rest(name: str, match: re.Match[str]) -> str:

@@ -34,26 +34,19 @@ def turned(image: Image, exif: int, autorotate: bool, *, already: bool) -> Image
     return upright(image, _INVERSE.get(exif, exif) if already else exif)
 
 
-def in_words(exif: int, *, autorotate: bool = True) -> str:
-    """For `Source.orientation`."""
-    if exif == 1:
-        return "as stored"
-    done = f"{_WORDS[exif]} (EXIF {exif})"
-    return done if autorotate else f"as stored, not {done}"
-
-
 class Turns:
     """What a source says of how its pictures were turned: `words` for `Source.orientation`, and notes."""
 
     def __init__(self, notes: list[str], autorotate: bool) -> None:
-        self.words = in_words(1)
+        self.words = "as stored"
         self._notes, self._autorotate = notes, autorotate
         self._first: int | None = None
         self._differ = False
 
     def add(self, exif: int) -> None:
         """Take the next picture's orientation."""
-        words = in_words(exif, autorotate=self._autorotate)
+        done = "as stored" if exif == 1 else f"{_WORDS[exif]} (EXIF {exif})"
+        words = done if self._autorotate or exif == 1 else f"as stored, not {done}"
         if self._first is None:
             self._first, self.words = exif, words
             if exif != 1 and self._autorotate:

@@ -1,14 +1,13 @@
 """Rendered scenes as sources of frames, and the built-in clip: one of them as a small video, with its truth beside it.
 
-`python -m frontend.sources.scene` renders that clip anew: `corridor.mp4`, the camera as `camera.json`, both also of a
-second camera to its right (`corridor_right.mp4`, `camera_right.json`), and `poses.txt` with a row
-"time x y z qx qy qz qw" per frame, world from left camera, in s and m, as TUM's trajectories are written.
+Beside `clip/corridor.mp4` lie the camera as `camera.json`, both also of a second camera to its right
+(`corridor_right.mp4`, `camera_right.json`), and `poses.txt` with a row "time x y z qx qy qz qw" per frame, world from
+left camera, in s and m, as TUM's trajectories are written. `tests/helpers/built_in_clip.py` renders it anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
 CLIP = Path(__file__).with_name("clip") / "corridor.mp4"
 """A hand-held walk of ten seconds along a corridor, 640x480."""
 
-_CAMERAS = ("", "_right")
-_QUALITY = {"crf": "20", "preset": "slow", "g": "60", "threads": "1"}
+CAMERAS = ("", "_right")
 
 
 class BuiltInClip(WrappedSource):
@@ -40,7 +38,7 @@ class BuiltInClip(WrappedSource):
     kind = "built-in clip"
 
     def __init__(self, *, stereo: bool = False) -> None:
-        cameras = [_camera(of) for of in (_CAMERAS if stereo else _CAMERAS[:1])]
+        cameras = [_camera(of) for of in (CAMERAS if stereo else CAMERAS[:1])]
         super().__init__(StereoSource(*cameras) if stereo else cameras[0])
 
     def __iter__(self) -> Iterator[Frame]:
@@ -48,7 +46,7 @@ class BuiltInClip(WrappedSource):
 
 
 def _camera(of: str) -> Source:
-    return CalibratedFrames(VideoSource(_beside(CLIP, of)), read_calibration(_beside(CLIP, of, "camera.json")).camera)
+    return CalibratedFrames(VideoSource(beside(CLIP, of)), read_calibration(beside(CLIP, of, "camera.json")).camera)
 
 
 class SceneSource(Source):
@@ -86,51 +84,7 @@ def frame_of(index: int, view: RenderedView, right: RenderedView | None = None) 
     return Frame(index, view.stamp_ns, view.image, camera, right=None if right is None else right.image)
 
 
-def built_in_clip() -> RenderedClip:
-    """What the built-in clip is a video of, with all of its truth."""
-    from airline.scenes import RenderedClip
-
-    return RenderedClip(kind="indoor", motion="handheld", seed=12, frames=300)
-
-
-def write_clip(pairs: Iterable[tuple[RenderedView, RenderedView]], video: Path) -> None:
-    """Write rendered views of 640x480 px at 30 frames/s as two H.264 videos, and the truth beside them."""
-    import json
-
-    import av
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    rows = []
-    with ExitStack() as stack:
-        files = [stack.enter_context(av.open(str(_beside(video, of)), "w")) for of in _CAMERAS]
-        streams = [file.add_stream("libx264", rate=30, options=_QUALITY) for file in files]
-        for stream in streams:
-            stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
-        for index, pair in enumerate(pairs):
-            for file, stream, view in zip(files, streams, pair, strict=True):
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(view.image, format="bgr24")))
-            pose = pair[0].pose
-            rows.append((pair[0].stamp_ns * 1e-9, *pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()))
-            camera = frame_of(index, *pair).camera
-        for file, stream in zip(files, streams, strict=True):
-            file.mux(stream.encode())
-    assert camera is not None
-    numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    for of, x in zip(_CAMERAS, (0.0, camera.baseline_m), strict=True):
-        place = [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-        text = json.dumps({**numbers, "rig_from_camera": place}, indent=2)
-        _beside(video, of, "camera.json").write_text(text + "\n")
-    np.savetxt(video.with_name("poses.txt"), rows, fmt="%.9f", header="time x y z qx qy qz qw, world from camera")
-
-
-def _beside(video: Path, of: str, name: str = "") -> Path:
+def beside(video: Path, of: str, name: str = "") -> Path:
     """The file of a camera beside a video; by default its video."""
     file = video.with_name(name or video.name)
     return file.with_stem(file.stem + of)
-
-
-if __name__ == "__main__":
-    from airline.scenes import render_pairs
-
-    write_clip(render_pairs(built_in_clip()), CLIP)

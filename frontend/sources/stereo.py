@@ -6,6 +6,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import PurePath
 from statistics import median
 
@@ -26,6 +27,7 @@ _STEPS = 31  # of a camera's times, whose median is its period
 _FIRST = 5  # frames of either camera that tell it before the first pair
 _UNPAIRED_LIVE = 60  # frames of live cameras without a pair, after which there will be none
 _PERIOD_NS = 33_333_333  # of a camera, until its second frame is there
+_BEFORE_NS = 10**9  # where the right camera's frames begin before a start: its period is not known yet
 
 
 class StereoSource(Source):
@@ -51,7 +53,6 @@ class StereoSource(Source):
     """
 
     name: str
-    live: bool
     unpaired: tuple[int, int]
 
     def __init__(
@@ -72,10 +73,9 @@ class StereoSource(Source):
             left.close()
             right.close()
             raise ConfigError(wrong)
+        self._left, self._right = (FreshFrames(left), FreshFrames(right)) if left.live else (left, right)
         self.name = left.name if name is None else name
-        self.live = left.live
         self.unpaired = 0, 0
-        self._left, self._right = (FreshFrames(left), FreshFrames(right)) if self.live else (left, right)
         self._rectify = _Rectify(rectified)
         self._max_gap_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
         self._steps: list[deque[int]] = [deque(maxlen=_STEPS), deque(maxlen=_STEPS)]
@@ -90,18 +90,6 @@ class StereoSource(Source):
         return min(counts, default=None)
 
     @property
-    def skipped(self) -> int:
-        return self._left.skipped + self._right.skipped
-
-    @property
-    def dropped(self) -> int:
-        return self._left.dropped + self._right.dropped
-
-    @property
-    def reconnects(self) -> int:
-        return self._left.reconnects + self._right.reconnects
-
-    @property
     def kind(self) -> str:
         """Both kinds or names, and how far apart their times may be."""
         left, right = self._left, self._right
@@ -110,14 +98,6 @@ class StereoSource(Source):
         else:
             both = f"pairs of {left.kind} and {right.kind}"
         return f"{both} {'by number' if self._by_number else f'at most {self._gap_ns / 1e6:.3g} ms apart'}"
-
-    @property
-    def codec(self) -> str:
-        return self._left.codec
-
-    @property
-    def orientation(self) -> str:
-        return self._left.orientation
 
     @property
     def calibration(self) -> str | None:
@@ -148,7 +128,7 @@ class StereoSource(Source):
         self._start_ns = first_ns + round(start_s * 1e9)
         self._left.seek(start_s)
         if first_ns or right_ns:  # where images are paired by number, the right one's places are not known
-            self._right.seek(max(0.0, (self._start_ns - self._gap_ns - right_ns) / 1e9))
+            self._right.seek(max(0.0, (self._start_ns - max(self._gap_ns, _BEFORE_NS) - right_ns) / 1e9))
 
     def stop(self) -> None:
         self._left.stop()
@@ -164,7 +144,7 @@ class StereoSource(Source):
         )
         paired = False
         if not self.live:
-            self._begin([ahead.up_to(_FIRST) for ahead in (lefts, rights)])
+            self._begin([[one for k in range(_FIRST) if (one := ahead[k])] for ahead in (lefts, rights)])
         try:
             while (left := lefts[0]) is not None and (right := rights[0]) is not None:
                 unpaired = self._without_partner(left, right, lefts, rights)
@@ -234,9 +214,8 @@ class StereoSource(Source):
     def _gap_ns(self) -> int:
         if self._max_gap_ns is not None:
             return self._max_gap_ns
-        # frames that are missing make any of them longer
-        known = [_mean_step_ns(self._left), _mean_step_ns(self._right), *(median(s) for s in self._steps if s)]
-        return round(min(filter(None, known), default=_PERIOD_NS) / 3)
+        # frames that are missing make either of them longer
+        return round(min((median(steps) for steps in self._steps if steps), default=_PERIOD_NS) / 3)
 
 
 class SideBySide(WrappedSource):
@@ -307,10 +286,6 @@ class _Ahead:
                 self._latest = frame.stamp_ns
         return self._held[place]
 
-    def up_to(self, count: int) -> list[Frame]:
-        """The next frames, so many at most."""
-        return [frame for place in range(count) if (frame := self[place]) is not None]
-
     def take(self) -> Frame | None:
         frame = self[0]
         del self._held[0]
@@ -347,16 +322,20 @@ class _Rectify:
         return replace(left, image=left_image, right=right_image, camera=self._rectifier.camera)
 
 
+def _of_both(name: str) -> property:
+    count = attrgetter(name)
+    return property(lambda pair: count(pair._left) + count(pair._right))
+
+
+for _name in ("skipped", "dropped", "reconnects"):
+    setattr(StereoSource, _name, _of_both(_name))
+for _name in ("live", "codec", "orientation"):
+    setattr(StereoSource, _name, property(attrgetter(f"_left.{_name}")))
+
+
 def _apart(left: Frame | None, right: Frame | None) -> float:
     """Nanoseconds between two frames; infinite where one is missing."""
     return float("inf") if left is None or right is None else abs(left.stamp_ns - right.stamp_ns)
-
-
-def _mean_step_ns(source: Source) -> float | None:
-    count, first_ns, last_ns = source.frame_count, source.first_stamp_ns, source.last_stamp_ns
-    if count is None or count < 2 or first_ns is None or last_ns is None:
-        return None
-    return (last_ns - first_ns) / (count - 1)
 
 
 def _number(frame: Frame) -> int | None:

@@ -20,7 +20,7 @@ from frontend.protocols import Source
 from frontend.sources import kinds
 from frontend.sources.container import MOST_PIXELS, VideoInput, reason_of, video_stream
 from frontend.sources.described import counted, describe, last_stamp
-from frontend.sources.orientation import in_words, upright
+from frontend.sources.orientation import Turns, upright
 from frontend.sources.pixels import image_of, orientation_of
 from frontend.sources.reading import Skips, UndecodableError
 from frontend.sources.stills import read_header
@@ -90,10 +90,9 @@ class VideoSource(Source):
             raise
         self._origin = first.key if self._said.timed else None
         self._number = self._position - 1  # of the first picture
-        exif = self._orientation(first.frame)
-        self.orientation = in_words(exif, autorotate=autorotate)
-        if autorotate and exif != 1:
-            self.notes.append(f"pictures are {self.orientation}, as the file says; --no-autorotate leaves them")
+        turns = Turns(self.notes, autorotate)
+        turns.add(self._orientation(first.frame))
+        self.orientation = turns.words
 
     @property
     def skipped(self) -> int:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from frontend.sources.scene import CLIP, BuiltInClip, built_in_clip, write_clip
+from frontend.sources.scene import CLIP, BuiltInClip
+from tests.helpers.built_in_clip import built_in_clip, write_clip
 
 DIGEST = "4a76f96ee321c6e76e5cb60fa8314b02e71c60301a02a0f4919f0164a4f3fb99"
 

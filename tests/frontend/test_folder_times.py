@@ -67,14 +67,7 @@ CLOCKS: dict[str, Callable[[datetime], str]] = {  # how the 0.25 s steps around 
     "comma": lambda d: f"{d:%Y%m%d_%H%M%S},{d.microsecond // 10_000:02d}",
     "letters": lambda d: f"vlcsnap-{d:%Y-%m-%d-%Hh%Mm%S}s{d.microsecond // 1000:03d}",
     "words": lambda d: f"Screenshot {d:%Y-%m-%d at %H.%M.%S.%f}",
-    "half a day": lambda d: f"Screenshot {d:%Y-%m-%d %I.%M.%S.%f %p}",
-    "half a day, narrow": lambda d: f"{d:%Y-%m-%d at} {d.hour % 12 or 12}{d:.%M.%S.%f}\u202f{d:%p}".lower(),
-    "day of the year": lambda d: f"{d:%Y-%j-%H-%M-%S.%f}",
     "offset": lambda d: f"{d:%Y-%m-%dT%H-%M-%S.%f}+0200",
-    "clock": lambda d: f"{d:%H_%M_%S.%f}",
-    "clock of points": lambda d: f"{d:%H.%M.%S.%f}",
-    "day first": lambda d: f"{d:%d.%m.%Y %H-%M-%S.%f}",
-    "minutes": lambda d: f"clip_{d + timedelta(minutes=-30):%M-%S}.{d.microsecond // 1000:03d}",
 }
 
 
@@ -84,10 +77,8 @@ def test_dates_and_clocks_in_names(tmp_path: Path, form: str) -> None:
     numbers, stamps, source = read(tmp_path)
     assert numbers == list(range(12))
     assert [stamp - stamps[0] for stamp in stamps] == [k * 10**9 // 4 for k in range(12)]
-    words = "hours, minutes and seconds" if form in ("clock", "clock of points", "day first", "minutes") else "dates"
-    assert said(source, f"taken for {words} by")
-    if words == "dates":
-        assert stamps[0] == int(MOMENT.replace(tzinfo=UTC).timestamp() * 10) * 10**8
+    assert said(source, "taken for dates by")
+    assert stamps[0] == int(MOMENT.replace(tzinfo=UTC).timestamp() * 10) * 10**8
 
 
 def test_one_digit_of_a_second(tmp_path: Path) -> None:
@@ -161,6 +152,8 @@ def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
         [f"{START * 1000}_{k}" for k in range(12)],
         [f"{k:010d}" for k in range(12)],
         [f"{700 + k}x480" for k in range(12)],
+        [f"14_41_{25 + k}.50" for k in range(12)],  # of a clock
+        [f"clip_41-{25 + k}.500" for k in range(12)],
     ],
 )
 def test_counters_are_no_times(tmp_path: Path, names: list[str]) -> None:
@@ -222,9 +215,8 @@ OTHER_TABLES = {  # of images 0000.png and so on in "images", with the stamps of
     "frames.csv": ["frame,ts", "{k},{t}"],
     "stems.csv": ["{k:04d},{t}"],
     "quoted.csv": ['"name","time"', '"{k:04d}.png","{t}"'],
-    "converted.txt": ["{k:04d}.jpg {t}"],
-    "far.csv": ["/home/me/set/{k:04d}.png,{t}"],
-    "drive.csv": ["C:\\set\\{k:04d}.png;{t}"],
+    "far.csv": ["/home/me/images/{k:04d}.png,{t}"],
+    "drive.csv": ["C:\\images\\{k:04d}.png;{t}"],
     "date.csv": ["{k:04d}.png,{date}Z"],
     "date.txt": ["{date} {k:04d}.png"],
     "zone.csv": ["{date}+00:00\t{k:04d}.png"],
@@ -252,16 +244,6 @@ def test_the_column_of_times(tmp_path: Path, table: str, backwards: bool) -> Non
     assert stamps[0] // 10**9 in (START, int(datetime(2019, 6, 8, 14, 41, 25, tzinfo=UTC).timestamp()))
     assert [stamp - stamps[0] for stamp in stamps] == [k * 10**8 for k in range(8)]
     assert f"'{Path(table).name}'" in source.kind or source.kind == "KITTI sequence"
-
-
-def test_guesses_about_tables_are_said(tmp_path: Path) -> None:
-    write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
-    for name, step in (("a.csv", 0.1), ("b.csv", 0.2)):
-        (tmp_path / name).write_text("".join(f"{k:04d}.png,{3 + k * step:.1f}\n" for k in range(8)))
-    stamps, source = read(tmp_path)[1:]
-    assert stamps[1] == 3_100_000_000
-    assert said(source, "the only numbers of 'a.csv' that rise with the images")
-    assert said(source, "'b.csv' has other times than 'a.csv', which is taken")
 
 
 def test_pictures_of_formats_that_are_not_read_are_said(tmp_path: Path) -> None:
@@ -368,10 +350,6 @@ def test_tables_of_any_name(tmp_path: Path, table: str, given: str) -> None:
 @pytest.mark.parametrize(
     "names",
     [
-        [f"{k:04x}" for k in range(8, 20)],
-        [f"frame_{START * 10**9 + k * 33_333_333:016X}" for k in range(12)],
-        [f"{k}" for k in range(-6, 6)],
-        [f"shot_{k}" for k in range(-12, 0, 2)] + [f"shot_{k}" for k in range(6)],
         ["x0", "x0(0)", "x0-1", *(f"x{k}" for k in range(1, 10))],
     ],
 )
@@ -457,7 +435,6 @@ def test_known_tables_in_other_units(tmp_path: Path, table: str, unit: int, row:
         ("img_%04d.png", [f"img_{k:04d}.png" for k in range(12)], list(range(12))),
         ("%d.png", [f"{k}.png" for k in range(12)], list(range(12))),
         ("####.png", [f"{k:04d}.png" for k in range(12)], list(range(12))),
-        ("a%03d_100%%.png", [f"a{k:03d}_100%.png" for k in range(12)], list(range(12))),
         ("[x]%03d.png", [f"[x]{k:03d}.png" for k in range(12)], list(range(12))),
         ("%03d.png", ["000.png", "x01.png", "2.png", "003.png", "1000.png", "003.jpg"], [0, 3, 4]),
     ],

@@ -141,7 +141,7 @@ def test_command(labelled: Path, posed: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["--sequence", *names, *folders, "--limit", "8", "--json", str(path)]) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
-    for word in (*names, "nearest", "flow", "IDF1", "parallax", "stable, fused", "measured", "20-40 px", "17-32"):
+    for word in (*names, "nearest", "flow", "IDF1", "stable, fused", "measured", "20-40 px", "17-32"):
         assert word in printed.out
     assert max(map(len, printed.out.splitlines())) <= 100
     figures = json.loads(path.read_text())

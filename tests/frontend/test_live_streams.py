@@ -147,8 +147,8 @@ def test_a_camera_that_is_pulled_out_is_an_error(monkeypatch: pytest.MonkeyPatch
     """No machine of the tests has a camera: a stream that ends stands for one."""
     with mjpeg_server() as server:
         server.frames = 5
-        url = server.url
-        monkeypatch.setattr(live, "_open_camera", lambda number: live._open_stream(url))
+        url, opened = server.url, live._open
+        monkeypatch.setattr(live, "_open", lambda number: opened(url))
         frames = iter(LiveSource(3))
         assert next(frames).index == 0
         with pytest.raises(InputError, match="camera 3 sends no more pictures: is it still connected"):

@@ -13,7 +13,7 @@ import pytest
 
 from airline.scenes import RenderedClip
 from frontend.evaluate import main
-from frontend.evaluation.nearest_on_rows import nearest_on_rows
+from frontend.evaluation.baselines import nearest_on_rows
 from frontend.evaluation.stereo import Pairs, PairTruth, first_pair_scores, partner_scores, rest_scores
 from frontend.evaluation.truth import longest_pieces, owners
 from frontend.sources.scene import frame_of
@@ -66,7 +66,7 @@ def test_perfect_partners_have_perfect_figures():
     figures = partner_scores(perfect(), truths())
     assert figures["partners"] == figures["visible"] > 300
     assert figures["precision"] == figures["recall"] == 1
-    assert figures["wrong"] == figures["unknown"] == figures["astray"] == 0
+    assert figures["wrong"] == figures["unknown"] == 0
     assert figures["disparity_rms_px"] < 0.01
     assert figures["chi2"] < 0.01
     assert figures["depth_known"] > 0.4
@@ -94,7 +94,6 @@ def test_lost_and_mistaken_partners_are_counted():
     assert figures["precision"] == figures["recall"] == pytest.approx(1 - ten / lines, abs=1e-4)
     figures = partner_scores(with_right(lambda right: right - (23, 31)), truths())
     assert figures["unknown"] + figures["wrong"] > 0.9 * lines
-    assert figures["astray"] > 0.5 * lines
 
 
 def test_shifted_partners_have_that_error():
@@ -120,7 +119,6 @@ def test_honest_noise_is_called_so(factor):
     run = [noisy(pairs) for pairs in perfect() for _ in range(3)]
     figures = partner_scores(run, [truth for truth in truths() for _ in range(3)])
     assert figures["chi2"] == pytest.approx(factor**2, rel=0.15)
-    assert figures["chi2_median"] == pytest.approx(factor**2, rel=0.15)
 
 
 def test_lines_from_a_first_pair():

@@ -75,7 +75,7 @@ def test_rendered_frames_are_the_same_each_time_and_carry_their_camera(name: str
     assert (frame.camera.width, frame.camera.height, frame.camera.distortion) == (640, 480, "none")
     assert (truth.segments_px.dtype, truth.ids.dtype) == (np.float32, np.int64)
     assert len(truth.ids) == len(truth.segments_px) > 100
-    assert (truth.segments_px >= -1e-3).all()
+    assert (truth.segments_px >= -0.5 - 1e-3).all()
     assert (truth.segments_px <= np.array(SIZE) - 1 + 1e-3).all()
     next_truth = clip.at(27)[1]
     assert len(np.intersect1d(truth.ids, next_truth.ids)) > 0.6 * len(np.unique(truth.ids))
@@ -152,8 +152,8 @@ def test_true_lines_of_a_photograph_are_steps_of_every_frame(photo: MovedPhoto) 
     ids = []
     for frame, truth in photo:
         assert len(truth.ids) == len(np.unique(truth.ids)) > 20
-        assert (truth.segments_px >= -1e-3).all()
-        assert (truth.segments_px <= np.array(photo.size) - 1 + 1e-3).all()
+        assert (truth.segments_px >= -0.5 - 1e-3).all()
+        assert (truth.segments_px <= np.array(photo.size) - 0.5 + 1e-3).all()
         assert (steps_across(grey(frame), truth.segments_px) > 5).mean() > 0.9
         ids.append(truth.ids)
     assert len(np.intersect1d(ids[0], ids[-1])) > 20
