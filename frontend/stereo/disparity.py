@@ -43,7 +43,7 @@ def disparities(
 
     Returns:
         (N, 2) float32 px, NaN for lines along the rows; their (N, 2, 2) float32 covariances, px^2; and the (N,) mask
-        of those that are known within 1 px and beyond doubt (three standard deviations) from infinity, at both ends.
+        of those that are known within 0.8 px and beyond doubt (three standard deviations) from infinity, at both ends.
     """
     ours, theirs = _along_rows(left, left[..., 1]), _along_rows(right, left[..., 1])
     disparity = left[..., 0] - theirs[0] + 0 * ours[1]  # NaN where the left line runs along the rows
