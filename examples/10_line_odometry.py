@@ -16,6 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices this small are done before a second thread wakes
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -36,7 +37,7 @@ except ImportError as error:
 COLUMNS = {
     "ate_percent": "path, %",
     "scale_percent": "scale, %",
-    "rotation_deg": "rotation, °",
+    "rotation_deg": "rot., °",
     "lost_frames": "no pose",
     "maps": "maps",
     "mapped_length_percent": "mapped, %",
@@ -138,7 +139,7 @@ try:
 except AirLineError as error:
     sys.exit(f"error: {error}")
 columns = list(next(iter(results.values())))
-table = Table("", *(COLUMNS.get(key, key) for key in columns))
+table = Table("", *(COLUMNS.get(key, key) for key in columns), box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
 for name, figures in results.items():
     table.add_row(
         name, *("-" if figures[key] is None else f"{figures[key]:.3f}".rstrip("0").rstrip(".") for key in columns)
