@@ -14,6 +14,7 @@ from av.video.stream import VideoStream
 
 from airline.errors import InputError
 from frontend.sources import address, kinds
+from frontend.sources.motion_jpeg import JPEG
 from frontend.sources.pipe import Pipe
 
 MOST_PIXELS = 1 << 26
@@ -80,7 +81,7 @@ class VideoInput:
         """Open it; it is closed with this."""
         limits = {"protocol_whitelist": _PROTOCOLS[self.way], "max_pixels": str(MOST_PIXELS)}
         more, timeout = (_RETRY, (_TIMEOUT_S, _TIMEOUT_S)) if self.way == "URL" else ({}, None)
-        form = "mjpeg" if self._start.startswith(kinds.JPEG) else None
+        form = "mjpeg" if self._start.startswith(JPEG) else None
         place: Any = self._place
         try:
             made: InputContainer = av.open(

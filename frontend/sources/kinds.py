@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import bz2
+import lzma
 import os
 import re
 import shlex
 import stat
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal, NamedTuple
 from urllib.parse import unquote
 
 from airline.errors import InputError
+from frontend.sources.motion_jpeg import JPEG, is_motion_jpeg
 
 Kind = Literal["missing", "folder", "camera", "device", "pipe", "log", "image", "packed", "video", "unknown"]
 
-JPEG = b"\xff\xd8\xff"
 STDIN = "/dev/stdin"
 LOG_SUFFIXES = frozenset({".mcap", ".bag", ".db3"})
 _START = 512  # bytes that are looked at
@@ -27,9 +31,6 @@ _FILE_URL = re.compile(r"file:(?://[^/]*)?(/.*)", re.IGNORECASE | re.DOTALL)
 _STILLS = (JPEG, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"GIF8")
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1", b"hevc", b"hevx", b"avif", b"avis")
 _MOTION_JPEG = frozenset({".mjpg", ".mjpeg"})  # one JPEG after the other
-_NEXT_JPEG = re.compile(rb"\xff\xd9[\0\r\n]*\xff\xd8\xff")
-_JPEG_SIZE = re.compile(rb"\xff[\xc0-\xc3]\0[\x0b\x11]\x08(....)", re.DOTALL)  # as coded (ITU-T T.81, annex B)
-_BELONGING = re.compile(rb"\xff\xe2..MPF\0", re.DOTALL)  # the next pictures are no frames: a stereo pair, a preview
 
 
 class _Packing(NamedTuple):
@@ -108,7 +109,7 @@ def kind_of_content(start: bytes, suffix: str = "") -> Kind:
         return "log"
     if _packing(start) is not None:
         return "packed"
-    if _is_motion_jpeg(start):
+    if is_motion_jpeg(start):
         return "video"
     if _is_still(start) and suffix not in _MOTION_JPEG:
         return "image"
@@ -133,7 +134,7 @@ def start_from(read: Callable[[int], bytes]) -> bytes:
     while wanted and (more := read(wanted)):
         start += more
         if len(start) >= _START:
-            unclear = start.startswith(JPEG) and len(start) < _MOST and _is_motion_jpeg(start) is None
+            unclear = start.startswith(JPEG) and len(start) < _MOST and is_motion_jpeg(start) is None
             wanted = max(len(start), 1 << 16) if unclear else 0
         else:
             wanted = _START - len(start)
@@ -147,12 +148,11 @@ def packed_error(text: str, start: bytes) -> InputError:
     path = Path(text)
     known = path.suffix.lower() in packing.suffixes
     out = path.with_suffix("") if known else path.with_name(f"{path.name}.unpacked")
-    inside = _named(out.name)
+    inside = _inside(start, packing, out)
     says = f"{title_of(text)} is packed by {packing.name}{f' and holds {inside}' if inside else ''}: unpack it"
     if text == STDIN or not path.is_file():
         return InputError(f"{says} into a file, and name that")
-    tarred = _TAR if inside == _TARRED else packing
-    command = tarred.command.format(file=shlex.quote(text), out=shlex.quote(str(out)))
+    command = (_TAR if inside == _TARRED else packing).command.format(file=shlex.quote(text), out=shlex.quote(str(out)))
     return InputError(f"{says} first with `{command}`, and give what comes out")
 
 
@@ -168,24 +168,38 @@ def _packing(start: bytes) -> _Packing | None:
     return _TAR if start[257:262] == b"ustar" else None
 
 
+def _inside(start: bytes, packing: _Packing, out: Path) -> str:
+    """What is packed, by its first bytes where Python unpacks them, else by the first name in an archive or its own."""
+    head, first = b"", ""
+    with suppress(OSError, ValueError, EOFError, zlib.error, lzma.LZMAError):
+        if packing.name == "gzip":
+            head = zlib.decompressobj(31).decompress(start, _START)
+        elif packing.name == "bzip2":
+            head = bz2.BZ2Decompressor().decompress(start, _START)
+        elif packing.name == "xz":
+            head = lzma.LZMADecompressor(memlimit=1 << 27).decompress(start, _START)
+        elif packing.name == "zip":
+            first = start[30 : 30 + int.from_bytes(start[26:28], "little")].decode(errors="replace")
+        elif packing.name == "tar":
+            first = start[:100].rstrip(b"\0").decode(errors="replace")
+    for magic, name in _LOGS.items():
+        if head.startswith(magic):
+            return name
+    if head[257:262] == b"ustar" or out.suffix.lower() == ".tar":
+        return _TARRED
+    told = {"image": "an image", "video": "a video"}.get(kind_of_content(head), "")
+    return told or _named(first) or _named(out.name)
+
+
 def _named(name: str) -> str:
-    """What a file is by its name; "" where that does not tell."""
     from frontend.sources.image_names import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 
-    suffixes = {"a log": LOG_SUFFIXES, "images": IMAGE_SUFFIXES, "a video": VIDEO_SUFFIXES, _TARRED: (".tar",)}
-    return next((what for what, known in suffixes.items() if Path(name).suffix.lower() in known), "")
-
-
-def _is_motion_jpeg(data: bytes | bytearray) -> bool | None:
-    """Whether JPEGs of one size follow each other; None where the data end before they tell."""
-    if not data.startswith(JPEG):
-        return False
-    end = _NEXT_JPEG.search(data)
-    following = end and _JPEG_SIZE.search(data, end.end())
-    if end is None or following is None:
-        return None
-    sizes = _JPEG_SIZE.findall(data, 0, end.start())  # that of a thumbnail comes first
-    return sizes[-1:] == [following[1]] and _BELONGING.search(data, 0, end.start()) is None
+    suffix = Path(name).suffix.lower()
+    if suffix in LOG_SUFFIXES or name.lower().endswith(".bag.active"):
+        return "a log"
+    if suffix in IMAGE_SUFFIXES:
+        return "images"
+    return "a video" if suffix in VIDEO_SUFFIXES else ""
 
 
 def _is_still(start: bytes) -> bool:

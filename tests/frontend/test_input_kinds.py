@@ -57,17 +57,18 @@ def tarred(name: str, mode: str) -> bytes:
 
 
 PACKED = {
-    "a.bag.gz": (gzip.compress(BAG), "gzip and holds a log", "gunzip -c {}/a.bag.gz > {}/a.bag"),
-    "b.mcap.gz": (gzip.compress(MCAP), "gzip and holds a log", "gunzip -c {}/b.mcap.gz > {}/b.mcap"),
+    "a.bag.gz": (gzip.compress(BAG), "gzip and holds a ROS 1 bag", "gunzip -c {}/a.bag.gz > {}/a.bag"),
+    "b.mcap.gz": (gzip.compress(MCAP), "gzip and holds an MCAP log", "gunzip -c {}/b.mcap.gz > {}/b.mcap"),
     "c.mcap.zst": (zstandard.compress(MCAP), "zstd and holds a log", "zstd -d {}/c.mcap.zst -o {}/c.mcap"),
     "d.db3.zstd": (zstandard.compress(SQLITE), "zstd and holds a log", "zstd -d {}/d.db3.zstd -o {}/d.db3"),
-    "e.bag.bz2": (bz2.compress(BAG), "bzip2 and holds a log", "bunzip2 -c {}/e.bag.bz2 > {}/e.bag"),
-    "f.mcap.xz": (lzma.compress(MCAP), "xz and holds a log", "xz -dc {}/f.mcap.xz > {}/f.mcap"),
-    "g.bag": (gzip.compress(BAG), "gzip", "gunzip -c {}/g.bag > {}/g.bag.unpacked"),
+    "e.bag.bz2": (bz2.compress(BAG), "bzip2 and holds a ROS 1 bag", "bunzip2 -c {}/e.bag.bz2 > {}/e.bag"),
+    "f.mcap.xz": (lzma.compress(MCAP), "xz and holds an MCAP log", "xz -dc {}/f.mcap.xz > {}/f.mcap"),
+    "g.bag": (gzip.compress(BAG), "gzip and holds a ROS 1 bag", "gunzip -c {}/g.bag > {}/g.bag.unpacked"),
     "h.mp4": (zstandard.compress(bytes(99)), "zstd", "zstd -d {}/h.mp4 -o {}/h.mp4.unpacked"),
-    "i.zip": (zipped("cam0/000.png"), "zip", "unzip {}/i.zip -d {}/i"),
-    "k.tar": (tarred("000.jpg", "w"), "tar", "tar xf {}/k.tar"),
-    "l.tar.gz": (tarred("000.jpg", "w:gz"), "gzip and holds a tar archive", "tar xf {}/l.tar.gz"),
+    "i.zip": (zipped("cam0/000.png"), "zip and holds images", "unzip {}/i.zip -d {}/i"),
+    "j.zip": (zipped("drive.bag"), "zip and holds a log", "unzip {}/j.zip -d {}/j"),
+    "k.tar": (tarred("000.jpg", "w"), "tar and holds images", "tar xf {}/k.tar"),
+    "l.tgz": (tarred("000.jpg", "w:gz"), "gzip and holds a tar archive", "tar xf {}/l.tgz"),
     "m.7z": (b"7z\xbc\xaf\x27\x1c" + bytes(99), "7-Zip", "7z x {}/m.7z -o{}/m"),
 }
 
@@ -192,7 +193,7 @@ def test_what_comes_through_a_pipe_is_told_too(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     for data, says in {
         MCAP: "is a log",
-        gzip.compress(BAG): "is packed by gzip: unpack it into a file, and name that",
+        gzip.compress(BAG): "is packed by gzip and holds a ROS 1 bag: unpack it into a file, and name that",
         jpeg(1): "is an image, no video: only videos come through a pipe: save it as a file, and name that",
         whole: "sends an MP4 whose index is at its end: name the file, or send Matroska or MPEG-TS",
         b"hello\n" * 99: "it is text",
