@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
+from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
 
@@ -11,16 +12,7 @@ from PIL.ImageFile import ImageFile
 
 from frontend.sources.orientation import turned
 from frontend.sources.reading import Image, UndecodableError
-from frontend.sources.stills import (
-    Header,
-    check_size,
-    decode,
-    open_image,
-    orientation_of,
-    pixels_of,
-    read_header,
-    reading,
-)
+from frontend.sources.stills import Header, check_size, decode_page, open_image, pixels_of, read_header, reading
 
 log = logging.getLogger(__name__)
 
@@ -38,17 +30,18 @@ class Pages:
     """
 
     def __init__(self, data: bytes, header: Header, fps: float) -> None:
-        self.header, self._data = header, data
-        self._image, count = open_image(header.codec, data), header.pictures
-        if header.codec == "TIFF":
+        self.header, self._file = header, BytesIO(data)
+        count = header.pictures
+        if header.pages:
             self.kind = f"TIFF of {count} pages"
             self.stamps_ns = [round(k * 1e9 / fps) for k in range(count)]
             self.notes = [f"the file's {count} pages are numbered by {fps:g} frames/s: --fps gives another rate"]
             return
         self.kind, self.notes = f"animated {header.codec} of {count} pictures", []
+        self._image = open_image(header.codec, data)
         durations = list[float]()
-        with suppress(UndecodableError), reading():
-            durations.extend(self._duration(number) for number in range(count))
+        with suppress(UndecodableError), reading():  # Pillow tells a picture's duration with its pixels
+            durations.extend(self._shown(number).info.get("duration", 0) for number in range(count))
         self._image = open_image(header.codec, data)  # whose size a picture may have changed
         if len(durations) < count:
             self.notes.append(f"the file is cut or damaged after {len(durations)} of its {count} pictures")
@@ -60,20 +53,17 @@ class Pages:
 
     def read(self, number: int, *, autorotate: bool) -> Image:
         """A picture, from 0; raises UndecodableError for a damaged or too large one."""
-        is_page = self.header.codec == "TIFF"  # which OpenCV turns
+        if self.header.pages:
+            return decode_page(self._file, self.header.pages[number], autorotate)
         with reading():
-            shown = self._seek(number)
-            image = decode(self._data, number) if is_page else pixels_of(shown)
-        return turned(image, orientation_of(shown) if is_page else self.header.exif, autorotate, already=is_page)
+            image = pixels_of(self._shown(number))
+        return turned(image, self.header.exif, autorotate, already=False)
 
-    def _seek(self, number: int) -> ImageFile:
+    def _shown(self, number: int) -> ImageFile:
         self._image.seek(number + getattr(self._image, "default_image", False))  # which a PNG may have apart
         check_size(*self._image.size)
+        self._image.load()
         return self._image
-
-    def _duration(self, number: int) -> float:
-        self._seek(number).load()  # Pillow tells it with the pixels
-        return float(self._image.info.get("duration", 0))
 
 
 def open_pages(path: Path, fps: float) -> Pages | None:

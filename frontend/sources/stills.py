@@ -23,6 +23,7 @@ from PIL.Image import DecompressionBombError, Exif
 from PIL.ImageFile import ImageFile
 
 from airline.errors import AirLineError, InputError, from_extra
+from frontend.sources import tiff
 from frontend.sources.orientation import turned
 from frontend.sources.reading import Bytes, Image, UndecodableError, as_frame_image
 
@@ -37,7 +38,7 @@ _CODECS: dict[str, tuple[bytes, str, int]] = {
     "PNG": (rb"\x89PNG\r\n\x1a\n", "PIL.PngImagePlugin:PngImageFile", 8 * 1032),
     "WebP": (rb"RIFF....WEBP", "PIL.WebPImagePlugin:WebPImageFile", 1024),
     "GIF": (rb"GIF8[79]a", "PIL.GifImagePlugin:GifImageFile", MOST_PIXELS),
-    "TIFF": (rb"II[*+]\0|MM\0[*+]", "PIL.TiffImagePlugin:TiffImageFile", MOST_PIXELS),
+    "TIFF": (rb"II[*+]\0|MM\0[*+]", "", MOST_PIXELS),
     "BMP": (rb"BM.{12}[\x0c\x28\x34\x38\x40\x6c\x7c]", "PIL.BmpImagePlugin:BmpImageFile", 128),
     "PNM": (rb"P[1-6][\s#]", "PIL.PpmImagePlugin:PpmImageFile", 8),
     "AVIF": (rb"....ftyp(....)*avi[fs]", "PIL.AvifImagePlugin:AvifImageFile", MOST_PIXELS),
@@ -56,11 +57,13 @@ class Header(NamedTuple):
         codec: "JPEG", "PNG" and so on.
         exif: the orientation that EXIF data or the format's own state, 1 (as stored) to 8.
         pictures: how many there are in the file, one after the other.
+        pages: the same, of a TIFF.
     """
 
     codec: str
     exif: int = 1
     pictures: int = 1
+    pages: tuple[tiff.Page, ...] = ()
 
 
 class Still(NamedTuple):
@@ -98,15 +101,17 @@ def read_still(data: Bytes, autorotate: bool = True, *, only: bool = False) -> S
     """
     header = read_header(data)
     if only and header.pictures > 1:
-        raise UndecodableError("file has several pages" if header.codec == "TIFF" else "animated image is not readable")
+        raise UndecodableError("file has several pages" if header.pages else "animated image is not readable")
+    if header.pages:
+        return Still(decode_page(BytesIO(data), header.pages[0], autorotate), header)
     with reading():
         by_pillow = header.codec in ("GIF", "HEIC")  # of the one OpenCV takes cut files, of the other none
-        image = pixels_of(open_image(header.codec, bytes(data))) if by_pillow else decode(data)
+        image = pixels_of(open_image(header.codec, bytes(data))) if by_pillow else _decode(data)
     if header.codec == "JPEG" and np.all(image[-1, -1] == 128) and not _fills_its_image(data):
         raise damaged("it ends before its last pixels")
     if header.codec == "PNG" and image.ndim == 3 and data[_PNG_COLOUR] in _PNG_GREY:
         image = cast("Image", cv2.extractChannel(image, 0))
-    return Still(turned(image, header.exif, autorotate, already=header.codec in ("HEIC", "TIFF")), header)
+    return Still(turned(image, header.exif, autorotate, already=header.codec == "HEIC"), header)
 
 
 def read_header(data: Bytes) -> Header:
@@ -116,13 +121,16 @@ def read_header(data: Bytes) -> Header:
     if codec is None:
         raise UndecodableError("no image file that is known", f"{len(data)} bytes beginning with {head[:4].hex()}")
     with reading():
+        if codec == "TIFF":
+            pages = tiff.pages_of(BytesIO(data))
+            if not pages:
+                raise UndecodableError("it has no picture but thumbnails", "a raw photograph is to be developed first")
+            return Header(codec, pages[0].exif, len(pages), pages)
         return _header(codec, bytes(data))
 
 
 def _header(codec: str, data: bytes) -> Header:
     image = open_image(codec, data)
-    if image.info.get("compression") == "raw":  # of a TIFF
-        check_size(*image.size, 8 * len(data))
     bits = data[_PNG_DEPTH] * len(image.getbands()) if codec == "PNG" else 1
     check_size(*image.size, _CODECS[codec][2] * len(data) // bits + _FLAT)
     if codec in _ENDS and image.fp and data.rfind(_ENDS[codec], image.fp.tell()) < 0:
@@ -132,7 +140,7 @@ def _header(codec: str, data: bytes) -> Header:
         if b"eXIf" in data:
             image.load()  # it may come after the pixels
     pictures = 1 if codec == "HEIC" else getattr(image, "n_frames", 1) - getattr(image, "default_image", False)
-    return Header(codec, orientation_of(image), pictures)
+    return Header(codec, _orientation(image), pictures)
 
 
 def open_image(codec: str, data: bytes) -> ImageFile:
@@ -141,16 +149,23 @@ def open_image(codec: str, data: bytes) -> ImageFile:
         return cast("ImageFile", resolve_name(_CODECS[codec][1])(BytesIO(data)))
 
 
-def orientation_of(image: ImageFile) -> int:
-    """What EXIF data, or the tags of a TIFF, state, 1 to 8; 1 where they state none or are damaged."""
+def _orientation(image: ImageFile) -> int:
+    """What EXIF data state, 1 to 8; 1 where they state none or are damaged."""
     exif = Exif()
     try:
         exif.load(image.info.get("exif", b""))
     except Exception:  # whatever Pillow raises for damaged data
         return 1
-    stated: Any = getattr(image, "tag_v2", exif).get(Base.Orientation)
-    stated = image.info.get("original_orientation", stated)  # of HEIC
+    stated: Any = image.info.get("original_orientation", exif.get(Base.Orientation))  # the former of HEIC
     return stated if stated in range(1, 9) else 1
+
+
+def decode_page(file: BytesIO, page: tiff.Page, autorotate: bool) -> Image:
+    """A page of a TIFF; changes the file."""
+    check_size(page.width, page.height, MOST_PIXELS if page.compressed else 8 * file.getbuffer().nbytes)
+    with reading():
+        image = _decode(tiff.put_first(file, page))
+    return turned(image, page.exif, autorotate, already=True)  # by OpenCV
 
 
 def pixels_of(image: ImageFile) -> Image:
@@ -160,19 +175,16 @@ def pixels_of(image: ImageFile) -> Image:
     return cast("Image", cv2.cvtColor(np.asarray(image.convert("RGB")), cv2.COLOR_RGB2BGR))
 
 
-def decode(data: Bytes, page: int = 0) -> Image:
+def _decode(data: Bytes) -> Image:
     """By OpenCV; raises UndecodableError for pixels of other types than uint8 and uint16."""
-    encoded = np.frombuffer(data, np.uint8)
-    pages: Any = (cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED),)
-    if page:
-        _, pages = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
-    if not len(pages) or pages[0] is None or not pages[0].size:
+    pixels: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None or not pixels.size:
         raise damaged("its pixels cannot be decoded")
-    (pixels,) = pages
     image = as_frame_image(pixels)
+    if image is None and pixels.dtype.kind == "f":
+        raise UndecodableError(f"its pixels are measured values of {pixels.dtype}, convert them to 8 or 16 bits")
     if image is None:
-        what = "measured values of " if pixels.dtype.kind == "f" else ""
-        raise UndecodableError(f"its pixels are {what}{pixels.dtype}, convert them to unsigned ones of 8 or 16 bits")
+        raise UndecodableError(f"its pixels are {pixels.dtype}, convert them to unsigned ones of 8 or 16 bits")
     return image
 
 

