@@ -17,15 +17,11 @@ _MEASURED = _DEPTH | {
 }
 _COLOUR = {"color", "colour", "colors", "colours", "rgb", "bgr"}
 _SEEN = _COLOUR | {"thermal", "flir", "lwir", "ir", "nir", "infrared", "gray", "grey", "mono", "left", "right"}
-_NUMBER = re.compile(  # but that of a camera, behind which another one tells the moment
-    r"((?:cam|camera|image|img|view)[-_]?\d{1,2}(?=[-_.].*\d))|((?:(?<![^_ =])[-+])?[\d.]+)", re.IGNORECASE
-)
+_CAMERA = re.compile(r"^(.*?(?:cam|camera|image|img|view)[-_]?)(\d{1,2})([-_.].*\d.*)$", re.IGNORECASE)
 _INTO = re.compile(r"[-_](?:to|in|on)[-_]|To(?=[A-Z])|(?<=[a-z])2(?=[a-z])")  # depth_to_color shows depth
-_MOST_KINDS = 8  # of pictures of one moment
+_MOST_CAMERAS = 8
 _SHARE = 0.8  # of all images; otherwise the folder has names of many kinds, as collections of photographs have
 _MOST_WORDS = 3  # in a name that says what is in a file, not what somebody works on
-
-Key = tuple[str, str]  # a name without its numbers, and the suffix
 
 
 def words_of(name: str) -> set[str]:
@@ -49,16 +45,10 @@ def choose_frames(images: list[Path], notes: list[str]) -> list[Path]:
     """
     if len(images) < 2:
         return images
-    groups: dict[Key, list[Path]] = defaultdict(list)
-    moments: dict[Key, list[list[str]]] = defaultdict(list)
-    folders = len({path.parent for path in images}) > 1
-    for path in images:
-        key, moment = _told(path, folders)
-        groups[key].append(path)
-        moments[key].append(moment)
+    groups = _grouped(images)
     if len(groups) > 1:
         groups = _without_measured(groups, notes)
-    if len(groups) > 1 and (paired := _paired({key: moments[key] for key in groups})):
+    if len(groups) > 1 and (paired := _paired(groups)):
         chosen = _choice(paired)
         if chosen is not None:
             left = sum(len(groups[key]) for key in paired if key != chosen)
@@ -79,14 +69,30 @@ def choose_frames(images: list[Path], notes: list[str]) -> list[Path]:
     return [path for path in images if path in kept]
 
 
-def _told(path: Path, folders: bool) -> tuple[Key, list[str]]:
-    """What kind of picture a name tells, and the numbers that tell the moment."""
-    stem = _NUMBER.sub(lambda found: found[1] or "#", path.stem)
-    moment = [number.strip(".") for _, number in _NUMBER.findall(path.stem) if number]
-    return (f"{path.parent.name}/{stem}" if folders else stem, path.suffix.lower()), moment
+def _grouped(images: list[Path]) -> dict[tuple[str, str], list[Path]]:
+    """Images by their name with its numbers left out, or if those are all the same by the number of a camera."""
+    parents = {path.parent for path in images}
+    groups: dict[tuple[str, str], list[Path]] = defaultdict(list)
+    for path in images:
+        stem = path.stem if len(parents) == 1 else f"{path.parent.name}/{path.stem}"
+        groups[re.sub(r"(?:(?<![^_ =])[-+])?[\d.]+", "#", stem), path.suffix.lower()].append(path)
+    if len(groups) > 1 or len(parents) > 1:
+        return groups
+    cameras: dict[tuple[str, str], list[Path]] = defaultdict(list)
+    moments: dict[str, set[str]] = defaultdict(set)
+    for path in images:
+        found = _CAMERA.match(path.stem)
+        if found is None:
+            return groups
+        cameras[found[1] + found[2] + "#", path.suffix.lower()].append(path)
+        moments[found[2]].add(found[3])
+    first, *others = moments.values()
+    if not others or len(moments) > _MOST_CAMERAS or len(first) < 2:
+        return groups
+    return cameras if all(2 * len(first & other) > len(first) for other in others) else groups
 
 
-def _without_measured(groups: dict[Key, list[Path]], notes: list[str]) -> dict[Key, list[Path]]:
+def _without_measured(groups: dict[tuple[str, str], list[Path]], notes: list[str]) -> dict[tuple[str, str], list[Path]]:
     measured = {key for key in groups if words_of(key[0]) & _MEASURED}
     if not measured or len(measured) == len(groups):
         return groups
@@ -97,33 +103,38 @@ def _without_measured(groups: dict[Key, list[Path]], notes: list[str]) -> dict[K
     return kept
 
 
-def _paired(moments: dict[Key, list[list[str]]]) -> list[Key]:
+def _paired(groups: dict[tuple[str, str], list[Path]]) -> list[tuple[str, str]]:
     """The groups whose names mostly have the numbers of the largest one's, that one first; [] if there are none."""
-    largest = max(moments, key=lambda key: len(moments[key]))
-    numbers = {key: _varying(rows) for key, rows in moments.items()}
+    largest = max(groups, key=lambda key: len(groups[key]))
+    numbers = {key: _moments(key, group) for key, group in groups.items()}
     most = numbers[largest]
     others = [
-        key for key in moments if key != largest and 2 * len(numbers[key] & most) > max(len(numbers[key]), len(most))
+        key for key in groups if key != largest and 2 * len(numbers[key] & most) > max(len(numbers[key]), len(most))
     ]
     paired = [largest, *others]
-    most_of_all = sum(len(moments[key]) for key in paired) >= _SHARE * sum(map(len, moments.values()))
-    told = 1 < len(paired) <= _MOST_KINDS and len(moments[largest]) > 1
-    return paired if told and most_of_all else []
+    most_of_all = sum(len(groups[key]) for key in paired) >= _SHARE * sum(map(len, groups.values()))
+    return paired if others and len(groups[largest]) > 1 and most_of_all else []
 
 
-def _varying(rows: list[list[str]]) -> set[tuple[str, ...]]:
+def _moment(key: tuple[str, str], path: Path) -> tuple[str, ...]:
+    found = _CAMERA.match(path.stem)
+    return (found[3],) if found and key[0] == f"{found[1]}{found[2]}#" else tuple(re.findall(r"\d+", path.stem))
+
+
+def _moments(key: tuple[str, str], group: list[Path]) -> set[tuple[str, ...]]:
     """The numbers in the names of a group, without those that are the same in all, as in "8bit"."""
+    rows = [_moment(key, path) for path in group]
     varying = [len(set(column)) > 1 for column in zip_longest(*rows)]
     return {tuple(compress(row, varying)) for row in rows}
 
 
-def _choice(keys: Sequence[Key]) -> Key | None:
+def _choice(keys: Sequence[tuple[str, str]]) -> tuple[str, str] | None:
     """The colour images, the left ones, or those of the first camera."""
     for words in (_COLOUR, {"left"}):
         having = [key for key in keys if words_of(key[0]) & words]
         if having and len(having) < len(keys):
             return having[0] if len(having) == 1 else _choice(having)
-    return min(keys) if all(re.search(r"\d", key[0]) for key in keys) else None
+    return min(keys) if all(re.search(r"\d#$", key[0]) for key in keys) else None
 
 
 def _alternate(images: list[Path], one: list[Path], other: list[Path]) -> bool:
