@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from statistics import median
 from typing import NamedTuple
 
@@ -169,7 +169,7 @@ def _kitti_raw(root: Path) -> Listing | None:
 
 def _timed_by_line(root: Path, images: list[Path], notes: list[str]) -> Listing | None:
     """A table with a time for each image. One of the folder above may be of other images, which is noted."""
-    for table in (folder / name for name in _TIMES for folder in (root, root.parent)):
+    for table in (folder / name for folder in (root, root.parent) for name in _TIMES):
         if images and table.is_file() and not any(map(is_image_name, fields_of(",".join(lines_of(table)[:2])))):
             is_kitti = table.name == _TIMES[0]
             try:
@@ -265,14 +265,18 @@ def _in_order(rows: list[ImageRow], kind: str, notes: list[str]) -> Listing:
 
 def _in_tables(images: list[Path], folders: tuple[Path, ...], notes: list[str]) -> Listing | None:
     """The table of any name, in the folder or the one above, that gives times to most of the images."""
-    known = {name: path for path in images for name in (str(_whole(path.stem)), path.stem, path.name)}
+    known = {str(number): path for path in images if (number := _whole(path.stem)) is not None}
+    known |= {name: path for path in images for name in (path.stem, path.name)}
     best: list[ImageRow] = []
+    chosen, said = "", list[str]()
     for folder in folders:
         for table in natsorted([*folder.glob("*.txt"), *folder.glob("*.csv")], key=str)[:_MOST_TABLES]:
             with suppress(InputError):  # no table of times
                 if table.is_file() and table.stat().st_size <= _EACH_MOST:
                     words: list[str] = []
                     rows = _table_of_any_name(table, known, words)
+                    if best and len(rows) == len(best) and rows != best:
+                        said.append(f"'{table.name}' has other times than '{chosen}', which is taken")
                     if len(rows) > len(best):
                         best, chosen, said = rows, table.name, words
     if 2 * len(best) < len(images):
@@ -299,6 +303,8 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
         place = _column_of_times(columns, heading, column)
         if place is None or place == column or says_depth(Path(names[0])):
             continue
+        if not is_image_name(names[0]) and len(set(names)) < len(names):
+            continue  # numbers that come again are of something else
         kept = dict[Path, str]()
         for name, text in zip(names, columns[place], strict=True):
             if (path := _named(name, known)) is not None:
@@ -314,8 +320,9 @@ def _table_of_any_name(table: Path, known: dict[str, Path], notes: list[str]) ->
 def _named(name: str, known: dict[str, Path]) -> Path | None:
     """The image that a table means, perhaps with its folder, written on any system."""
     path = PurePosixPath(name.replace("\\", "/"))
-    image = known.get(path.name)
-    return image if image is not None and path.parent.name in ("", "..", image.parent.name) else None
+    image = known.get(path.name) or (known.get(path.stem) if is_image_name(name) else None)
+    here = PureWindowsPath(name).root or path.parent.name in ("", "..")  # a path from a root is of another machine
+    return image if image is not None and (here or path.parent.name == image.parent.name) else None
 
 
 def _listed(table: Path, folder: Path, unit: str, kind: str) -> Listing:

@@ -26,6 +26,7 @@ _DATE = re.compile(
     r"(?<!\d)(\d{4})[-_.]?(\d\d)[-_.]?(\d\d)(?: at |[-_ T.])?(\d\d)[-_:.h]?(\d\d)[-_:.m]?(\d\d)"
     r"(?:(?:[.,s]|[-_]?(?=\d{3}(?!\d)|\d{5,9}(?!\d)))(?P<part>\d+))?(?!\d)"
 )
+_HALF_DAY = re.compile(r"[\s_.-]*[ap]\.?m(?![a-z])", re.IGNORECASE)  # of clocks of twelve hours, which are not read
 _CLOCK = re.compile(r"(?<!\d)[0-5]\d[-_:.m][0-5]\d[.,]\d")  # whose seconds alone are no time
 
 _Found = tuple[int, str]  # a stamp in ns, and the rest of the name
@@ -133,7 +134,7 @@ def _longest_step(names: Sequence[str], read: _Read) -> int:
 def _date(name: str, *, whole: bool) -> _Found | None:
     """A date, without the number after its seconds where these are to be whole."""
     found = _DATE.search(name)
-    if found is None:
+    if found is None or _HALF_DAY.match(name, found.end()):
         return None
     try:
         day = datetime(*map(int, found.groups()[:6]), tzinfo=UTC)  # type: ignore[misc,arg-type]

@@ -17,7 +17,7 @@ _MEASURED = _DEPTH | {
 }
 _COLOUR = {"color", "colour", "colors", "colours", "rgb", "bgr"}
 _SEEN = _COLOUR | {"thermal", "flir", "lwir", "ir", "nir", "infrared", "gray", "grey", "mono", "left", "right"}
-_CAMERA = re.compile(r"^(.*?(?:cam|camera|image|img|view)[-_]?)(\d{1,2})([-_.].*\d.*)$", re.IGNORECASE)
+_CAMERA = re.compile(r"^(.*?(?:cam|camera|image|img|view)[-_]?)(\d{1,2})(([-_]|\.(?!\d)).*\d.*)$", re.IGNORECASE)
 _INTO = re.compile(r"[-_](?:to|in|on)[-_]|To(?=[A-Z])|(?<=[a-z])2(?=[a-z])")  # depth_to_color shows depth
 _MOST_CAMERAS = 8
 _SHARE = 0.8  # of all images; otherwise the folder has names of many kinds, as collections of photographs have

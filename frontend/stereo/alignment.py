@@ -48,28 +48,26 @@ def aligned(
         (N, 2, 2) float32 px, their (N, 2, 2) covariances, and (N, 2) px disparities of the left ends; lines along the
         rows are as they were, and have none.
     """
-    (segments, ours), (others, errors) = left, right
     before, prior = disparities(*left, *right, camera.disparity_offset)[0], detection_errors(*left, *right)
     rows = np.flatnonzero(np.isfinite(before).all(axis=1))
-    ends, theirs, known, spread = (
-        segments[rows].astype(np.float64),
-        others[rows],
-        before[rows].astype(np.float64),
-        prior[rows],
-    )
+    segments, theirs, known, prior = left[0][rows], right[0][rows], before[rows].astype(np.float64), prior[rows]
+    ends = segments.astype(np.float64)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     bend = SLOPE * np.abs(known.mean(axis=1) - camera.disparity_offset) * length / camera.fx + LEAST_BEND
-    found, found_spread = known.copy(), np.empty_like(spread)
-    _align(*images, ends, found, np.linalg.inv(spread), 1 / bend**2, *gain, found_spread)
-    near = np.abs(found - known).max(axis=1) <= FARTHEST
-    found, spread = np.where(near[:, None], found, known), np.where(near[:, None, None], found_spread, spread)
-    shift, tall = known - found, ends[:, 1:, 1] - ends[:, :1, 1]
-    along = (theirs[..., 1] - ends[:, :1, 1]) / tall
-    moved, errors, ends_disparity = others.copy(), errors.copy(), np.full(before.shape, np.nan)
-    moved[rows, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
-    errors[rows] = ours[rows] + own_covariances(segments[rows], moved[rows], spread)
-    ends_disparity[rows] = found
-    return moved, errors, ends_disparity
+    found, spread = known.copy(), np.empty_like(prior)
+    _align(*images, ends, found, np.linalg.inv(prior), 1 / bend**2, *gain, spread)
+    shift, along = known - found, (theirs[..., 1] - ends[:, :1, 1]) / (ends[:, 1:, 1] - ends[:, :1, 1])
+    moved = theirs.copy()
+    moved[:, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
+    own = own_covariances(segments, moved, spread)
+    astray = (np.abs(shift) > FARTHEST).any(axis=1) | np.isnan(own).any(
+        axis=(1, 2)
+    )  # too far, or turned along the rows
+    moved[astray], found[astray] = theirs[astray], known[astray]
+    own[astray] = own_covariances(segments[astray], theirs[astray], prior[astray])
+    others, errors, ends_disparity = right[0].copy(), right[1].copy(), np.full(before.shape, np.nan)
+    others[rows], errors[rows], ends_disparity[rows] = moved, left[1][rows] + own, found
+    return others, errors, ends_disparity
 
 
 @njit()

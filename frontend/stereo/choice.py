@@ -47,7 +47,7 @@ def choose(votes: Float32, disparities: Float32, middles: Float32, known: NDArra
 
 @njit()
 def agreeing(disparities, middles, sure, sure_middles):  # type: ignore[no-untyped-def]
-    """(N,) mask of (N,) disparities at (N, 2) places that most of the lines nearest by have, too.
+    """(N,) mask of (N,) disparities at (N, 2) places that enough of the lines nearest by have, too.
 
     (S,) disparities `sure` belong to lines with middles `sure_middles` (S, 2).
     """

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from frontend.camera.model import CameraModel
 
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
-MAX_ERROR = 0.8  # px, standard deviation of a disparity that tells a depth,
-OWN = 0.3  # of the variances of a detected line, that its partner's errors do not share
+MIN_ERROR, MAX_ERROR = 0.001, 0.8  # px, standard deviation of a disparity that tells a depth (nothing is known better),
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
+OWN = 0.3  # of the variances of a detected line, that its partner's errors do not share
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def disparities(
     Args:
         left, right: (N, 2, 2) px, in the same directions; NaN where there is no right line.
         left_covariances, right_covariances: (N, 2, 2) of (offset at the middle, px; angle, radians); the latter are
-            the larger ones.
+            the former and what the right lines err on their own.
         offset: disparity of points at infinity, px.
 
     Returns:
@@ -50,8 +50,10 @@ def disparities(
     jacobian, errors = _jacobian(ours, theirs), _both(left_covariances, right_covariances)
     to_disparity = jacobian[:, :2] - jacobian[:, 2:]
     covariances = to_disparity @ errors @ to_disparity.transpose(0, 2, 1)
-    spread = np.sqrt(np.maximum(np.einsum("nkk->nk", covariances), 0))
-    known = ((spread <= MAX_ERROR) & (disparity - offset > MIN_RATIO * spread)).all(axis=1)  # false for NaN
+    spread = np.sqrt(np.einsum("nkk->nk", covariances))
+    known = ((spread >= MIN_ERROR) & (spread <= MAX_ERROR) & (disparity - offset > MIN_RATIO * spread)).all(
+        axis=1
+    )  # false for NaN
     return disparity.astype(np.float32), covariances.astype(np.float32), known
 
 

@@ -51,6 +51,7 @@ NAMES = {  # how a time in seconds is written, and the words for it
     "trailing zeros lost": (lambda t: f"{float(t)}", "decimal seconds"),
     "whole seconds without a point": (lambda t: f"{float(t):.16g}", "decimal seconds"),
     "decimal after words": (lambda t: f"frame_{t:.6f}", "decimal seconds"),
+    "decimal after a word of cameras": (lambda t: f"image_{t - START:.6f}", "decimal seconds"),
     "decimal after a number": (lambda t: f"cam0_{t:.6f}", "decimal seconds"),
     "pair": (lambda t: f"{int(t)}_{int(t % 1 * 10**9):09d}", "seconds and their fractions"),
     "pair of s and us": (lambda t: f"{int(t)}-{int(t % 1 * 10**6):06d}", "seconds and their fractions"),
@@ -112,7 +113,8 @@ def test_times_in_names(tmp_path: Path, form: str) -> None:
     write_numbered(tmp_path, [f"{name(seconds(k))}.png" for k in range(40)])
     numbers, stamps, source = read(tmp_path)
     assert numbers == list(range(40))
-    assert stamps == expected
+    assert [stamp - stamps[0] + expected[0] for stamp in stamps] == expected
+    assert stamps[0] in (expected[0], 0)
     assert said(source, f"taken for {words} by")
     assert source.kind == "images named by their time"
     assert not said(source, FPS_NOTE)
@@ -154,6 +156,7 @@ def test_values_order_names_that_programs_print(tmp_path: Path) -> None:
         [f"{700 + k}x480" for k in range(12)],
         [f"14_41_{25 + k}.50" for k in range(12)],  # of a clock
         [f"clip_41-{25 + k}.500" for k in range(12)],
+        [f"2019-06-08 02-41-{25 + k} PM" for k in range(12)],  # of twelve hours
     ],
 )
 def test_counters_are_no_times(tmp_path: Path, names: list[str]) -> None:
@@ -269,13 +272,14 @@ def test_the_unit_of_a_heading(tmp_path: Path) -> None:
         ["{k:04d}.png,0.{other}"],
         ["{k:04d}.png {k}"],
         ["frame,x", "{k},5.{k}"],
+        ["time,objects", "1.{k},{half}"],
         ["{other}th,5.{k}"],
         ["\n".join(f"0.{n:02d} {n % 8} {n % 3} 1" for n in range(40)) + "\n0.9{k} {k} 1 1"],  # events
     ],
 )
 def test_places_and_scores_are_no_times(tmp_path: Path, rows: list[str]) -> None:
     write_numbered(tmp_path, [f"{k:04d}.png" for k in range(8)])
-    text = "\n".join([*rows[:-1], *(rows[-1].format(k=k, other=k * 5 % 8) for k in range(8))])
+    text = "\n".join([*rows[:-1], *(rows[-1].format(k=k, other=k * 5 % 8, half=k // 2) for k in range(8))])
     (tmp_path / "numbers.csv").write_text(text)
     assert said(read(tmp_path)[2], FPS_NOTE)
 
@@ -286,6 +290,23 @@ def test_times_above_that_are_of_other_images(tmp_path: Path) -> None:
     source = read(tmp_path / "images")[2]
     assert said(source, "times above are not taken: ")
     assert said(source, FPS_NOTE)
+
+
+def test_a_folders_own_times_come_first(tmp_path: Path) -> None:
+    write_numbered(tmp_path / "images", [f"{k:04d}.png" for k in range(8)])
+    for table, step_s in (("times.txt", 0.5), ("timestamps.txt", 0.5), ("images/times.csv", 0.1)):
+        (tmp_path / table).write_text("\n".join(f"{START + step_s * k:.1f}" for k in range(8)))
+    assert read(tmp_path / "images")[1] == [START * 10**9 + k * 10**8 for k in range(8)]
+
+
+def test_tables_that_disagree_are_told(tmp_path: Path) -> None:
+    write_numbered(tmp_path, [f"{k}.png" for k in range(8)])
+    for table, name in (("a.csv", "/home/me/{k}.jpg"), ("b.csv", "{k}.png")):  # converted, on another machine
+        rows = [f"{name.format(k=k)},{START * 10 + (k if table == 'a.csv' else 2 * k)}00000" for k in range(8)]
+        (tmp_path / table).write_text("\n".join(rows))
+    numbers, stamps, source = read(tmp_path)
+    assert (numbers, stamps) == (list(range(8)), [(START * 10 + k) * 10**8 for k in range(8)])
+    assert said(source, "'b.csv' has other times than 'a.csv', which is taken")
 
 
 @pytest.mark.parametrize("times", ["{ns} 0.01{k}", "{ns},{k}"])

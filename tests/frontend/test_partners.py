@@ -19,6 +19,7 @@ from frontend import CameraModel, Frame, LineFrontend, LineTracks, Source
 from frontend.evaluation.stereo import PairTruth, pairs_of, partner_scores
 from frontend.protocols import FrameResult
 from frontend.sources.scene import frame_of
+from frontend.stereo.alignment import aligned
 from frontend.stereo.disparity import disparities, in_metres
 from frontend.stereo.partners import PartnerFinder
 from frontend.tracker import LineTracker
@@ -128,6 +129,26 @@ def test_lines_along_the_rows_and_at_infinity_tell_no_depth():
     assert np.isnan(points[:2]).all()
     assert np.isnan(spread[:2]).all()
     assert points[2, :, 2] == pytest.approx(500 * 0.2 / 17)
+
+
+def test_covariances_that_tell_nothing_are_no_certainty():
+    left = np.array([[[100, 50], [120, 150]]], np.float32)
+    for right_errors in (ERRORS, 0.5 * ERRORS):
+        assert not disparities(left, ERRORS, left - np.float32([20, 0]), right_errors, 0.0)[2].any()
+
+
+def test_lines_that_alignment_turns_along_the_rows_stay_and_have_errors():
+    rng = np.random.default_rng(0)
+    images = tuple(rng.integers(0, 256, (240, 320)).astype(np.uint8) for _ in range(2))  # it has nothing to go by
+    delta = np.float32([20, 20 * 0.22]) * rng.uniform(0.7, 1.3, (400, 1)).astype(np.float32)
+    first = rng.uniform(40, 200, (400, 2)).astype(np.float32)
+    left = np.stack([first, first + delta], axis=1)
+    errors = np.repeat(ERRORS, 400, axis=0)
+    moved, covariances, ends = aligned(images, (1.0, 0.0), (left, errors), (left - np.float32([10, 0]), errors), CAMERA)
+    disparity, spread, _ = disparities(left, errors, moved, covariances, CAMERA.disparity_offset)
+    for values in (moved, covariances, ends, disparity):
+        assert np.isfinite(values).all()
+    assert (np.einsum("nkk->nk", spread) > 0).all()
 
 
 def test_partners_of_a_rendered_clip_are_right():

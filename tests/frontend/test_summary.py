@@ -18,6 +18,8 @@ from frontend.protocols import Source
 from frontend.tracks import LineTracks
 from tests.helpers.made_tracks import blank_tracks
 
+ERRORS = np.diag([0.01, 0.0001]).astype(np.float32)  # of a partner, beyond those of its line
+
 
 def result(tracks: LineTracks, lines: int, stage_ms: dict[str, float]) -> Any:
     """What the counter looks at in one frame's result: the tracks, and some lines."""
@@ -100,7 +102,7 @@ def test_partners_are_counted_where_there_is_a_right_image() -> None:
     segments = np.tile(np.float32([[9, 5], [50, 5]]), (4, 1, 1))
     segments[3] = [[60, 10], [60, 50]]
     tracks = blank_tracks(4, observed_px=segments, states=np.uint8([0, 0, 1, 1]))
-    right = {"right_covariances": np.zeros((4, 2, 2), np.float32), "right_measured": np.zeros(4, np.bool_)}
+    right = {"right_covariances": np.tile(ERRORS, (4, 1, 1)), "right_measured": np.zeros(4, np.bool_)}
     for hits in ([0, 0, 0, 0], [2, 1, 1, 2]):
         partners = np.where(np.array(hits)[:, None, None] > 0, segments - np.float32([7, 0]), np.float32(np.nan))
         found = replace(tracks, right_px=partners, right_hits=np.array(hits, np.int32), **right)
@@ -129,7 +131,7 @@ def test_what_is_hardly_a_pair_is_said(shift: tuple[float, float], with_partner:
     segments = np.tile(np.float32([[60, 10], [60, 50]]), (count, 1, 1))
     hits = (np.arange(count) < with_partner).astype(np.int32)
     partners = np.where(hits[:, None, None] > 0, segments - np.float32(shift) * (1, -1), np.nan).astype(np.float32)
-    right = {"right_covariances": np.zeros((count, 2, 2), np.float32), "right_measured": np.zeros(count, np.bool_)}
+    right = {"right_covariances": np.tile(ERRORS, (count, 1, 1)), "right_measured": np.zeros(count, np.bool_)}
     tracks = blank_tracks(count, observed_px=segments, states=np.ones(count, np.uint8))
     for _ in range(2):
         counter.add(result(replace(tracks, right_px=partners, right_hits=hits, **right), count, {}), 0.0)

@@ -42,7 +42,7 @@ def pairs(count: int = FRAMES, camera: object = PAIR) -> Iterator[FrameResult]:
             camera=camera,
             observed_covariances=result.tracks.covariances,
             right_px=partners,
-            right_covariances=result.tracks.covariances,
+            right_covariances=1.25 * result.tracks.covariances,
             right_hits=np.array([7, 3, 1, 0], np.int32),
             right_measured=np.array([True, False, True, False]),
         )
