@@ -51,7 +51,7 @@ def scene() -> np.ndarray:
 @pytest.fixture(scope="session")
 def _start_of_the_built_in_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from airline.scenes import render_pairs
-    from frontend.sources.scene import built_in_clip, write_clip
+    from tests.helpers.built_in_clip import built_in_clip, write_clip
 
     video = tmp_path_factory.mktemp("clip") / "corridor.mp4"
     write_clip(islice(render_pairs(built_in_clip()), 8), video)
