@@ -45,8 +45,8 @@ def aligned(
         camera: of the pair, or a guess of one.
 
     Returns:
-        (N, 2, 2) float32 px, their (N, 2, 2) covariances, and (N, 2) px disparities of the left ends; lines along the
-        rows are as they were, and have none.
+        (N, 2, 2) float32 px, their (N, 2, 2) covariances, those of the left lines and what is their own, and (N, 2) px
+        disparities of the left ends; lines along the rows are as they were, and have none.
     """
     before, prior = disparities(*left, *right, camera.disparity_offset)[0], detection_errors(*left, *right)
     rows = np.flatnonzero(np.isfinite(before).all(axis=1))
@@ -60,9 +60,8 @@ def aligned(
     moved = theirs.copy()
     moved[:, :, 0] += (shift[:, :1] + along * (shift[:, 1:] - shift[:, :1])).astype(np.float32)
     own = own_covariances(segments, moved, spread)
-    astray = (np.abs(shift) > FARTHEST).any(axis=1) | np.isnan(own).any(
-        axis=(1, 2)
-    )  # too far, or turned along the rows
+    turned = np.isnan(own).any(axis=(1, 2))  # along the rows
+    astray = turned | (np.abs(shift) > FARTHEST).any(axis=1)
     moved[astray], found[astray] = theirs[astray], known[astray]
     own[astray] = own_covariances(segments[astray], theirs[astray], prior[astray])
     others, errors, ends_disparity = right[0].copy(), right[1].copy(), np.full(before.shape, np.nan)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from frontend.camera.model import CameraModel
 
 MIN_SINE = 0.2  # of the angle between a line and the rows, below which its ends tell no disparity
-MIN_ERROR, MAX_ERROR = 0.001, 0.8  # px, standard deviation of a disparity that tells a depth (nothing is known better),
+MIN_ERROR, MAX_ERROR = 0.001, 0.8  # px, standard deviations of disparities that are believed and tell a depth,
 MIN_RATIO = 3.0  # and how many of them it is away from infinity
 OWN = 0.3  # of the variances of a detected line, that its partner's errors do not share
 
