@@ -24,8 +24,6 @@ from frontend.sources.streams import says_depth
 
 log = logging.getLogger(__name__)
 
-_SEVERAL = "of files with several pictures the first is taken: give one file for all of its pictures"
-
 
 class FolderSource(Source):
     """Images of a folder in natural order (2.png before 10.png), or in that of the times that `listing` finds for them.
@@ -78,6 +76,7 @@ class FolderSource(Source):
         self._misfit = False
         self._autorotate = autorotate
         self._turns = Turns(self.notes, autorotate)
+        self._several = 0  # files of which only the first picture is taken
 
     @property
     def orientation(self) -> str:
@@ -132,8 +131,12 @@ class FolderSource(Source):
             if image.ndim == 2 and image.itemsize == 2:
                 self.notes.append("grey of 16 bits is taken for what a camera sees, such as heat, not for depth")
             self.codec = header.codec
-        if header.pictures > 1 and self._pages is None and _SEVERAL not in self.notes:
-            self.notes.append(_SEVERAL)
+        if header.pictures > 1 and self._pages is None:
+            self._several += 1
+            note = f"files with several pictures, of which the first is taken: {self._several}; give one file for all"
+            if self._several > 1:
+                self.notes.remove(note.replace(f"{self._several};", f"{self._several - 1};"))
+            self.notes.append(note)
 
     def _camera(self, image: Image, name: str) -> CameraModel | None:
         if self._found is None:

@@ -209,7 +209,7 @@ def test_animations(tmp_path: Path, form: str, suffix: str) -> None:
     assert [number_of(frame.image) for frame in source] == list(range(7, 20))
     source = FolderSource(tmp_path)  # among others it is one picture
     assert [number_of(frame.image) for frame in source] == [0]
-    assert sum("of files with several pictures the first is taken" in note for note in source.notes) == 1
+    assert sum("files with several pictures, of which the first is taken" in note for note in source.notes) == 1
 
 
 def test_a_damaged_animation_gives_what_is_before(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -279,7 +279,7 @@ def test_pages_of_a_tiff(tmp_path: Path, bits: int, compression: int) -> None:
     source = FolderSource(tmp_path)
     assert [number_of(frame.image) for frame in source] == [0] * 4
     assert [note for note in source.notes if "several pictures" in note] == [
-        "of files with several pictures the first is taken: give one file for all of its pictures"
+        "files with several pictures, of which the first is taken: 4; give one file for all"
     ]
 
 
